@@ -1,0 +1,22 @@
+"""The one exception that means: the input is wrong, and here is what to do about it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class InputError(ValueError):
+    """Input that cannot be used: a file, an option, a checkpoint.
+
+    Command lines print it as one line on stderr and exit with code 2.
+
+    Args:
+        what: what is wrong, e.g. ``"MOTION block ends after 12 of 273 frames"``.
+        where: the file, line, field or option, e.g. ``"walk.bvh, line 180"``.
+        fix: what the user can do about it, e.g. ``"download the file again"``.
+    """
+
+    def __init__(self, what: str, where: str | Path | None = None, fix: str | None = None) -> None:
+        self.what, self.where, self.fix = what, where, fix
+        message = f"{where}: {what}" if where is not None else what
+        super().__init__(f"{message}; {fix}" if fix else message)

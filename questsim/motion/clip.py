@@ -1,0 +1,70 @@
+"""A motion of the avatar: what the simulation is asked to reproduce."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+FPS = 36.0
+"""Frames a second of every clip and of the policy (QuestSim section 4)."""
+
+
+@dataclass(frozen=True)
+class Clip:
+    """The avatar's reference motion at 36 Hz, z up, feet on the floor at z = 0.
+
+    Link velocities are those of the link origins, in the world. ``T`` frames, 16 links in the
+    order of ``skeleton.LINKS``, 33 hinges in the order of ``skeleton.DOFS``.
+
+    Attributes:
+        name: the clip's name; unique in a library.
+        height_m: the stature in metres of the body the numbers below are for.
+        qpos: ``(T, 40)`` root position (m), root quaternion wxyz, joint angles (rad).
+        qvel: ``(T, 39)`` root linear velocity in the world (m/s), root angular velocity in the
+            root's frame (rad/s), joint velocities (rad/s): MuJoCo's convention.
+        link_position: ``(T, 16, 3)`` in metres.
+        link_quat: ``(T, 16, 4)`` orientations, quaternions wxyz.
+        link_velocity: ``(T, 16, 3)`` in m/s.
+        link_angular_velocity: ``(T, 16, 3)`` in rad/s.
+        contacts: ``(T, 2)`` bool, whether the left and the right foot bear on the floor.
+        source, source_sha256, licence, kind, style: as in ``Motion``.
+    """
+
+    name: str
+    height_m: float
+    qpos: np.ndarray
+    qvel: np.ndarray
+    link_position: np.ndarray
+    link_quat: np.ndarray
+    link_velocity: np.ndarray
+    link_angular_velocity: np.ndarray
+    contacts: np.ndarray
+    source: str = ""
+    source_sha256: str = ""
+    licence: str = ""
+    kind: str = ""
+    style: str = ""
+
+    def __len__(self) -> int:
+        return len(self.qpos)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first to the last frame."""
+        return (len(self) - 1) / FPS
+
+    def scaled(self, height_m: float) -> Clip:
+        """The same joint angles on a body of another height; paths scale with the body."""
+        ratio = height_m / self.height_m
+        qpos, qvel = self.qpos.copy(), self.qvel.copy()
+        qpos[:, :3] *= ratio
+        qvel[:, :3] *= ratio
+        return replace(
+            self,
+            height_m=height_m,
+            qpos=qpos,
+            qvel=qvel,
+            link_position=self.link_position * ratio,
+            link_velocity=self.link_velocity * ratio,
+        )

@@ -1,0 +1,121 @@
+"""Rotations: quaternions wxyz as in MuJoCo, over any leading axes; SciPy does the work."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+
+def as_rotation(quat: np.ndarray) -> Rotation:
+    """SciPy's Rotation, flattened to one axis, of quaternions wxyz ``(..., 4)``."""
+    return Rotation.from_quat(np.asarray(quat, float).reshape(-1, 4), scalar_first=True)
+
+
+def as_quat(rotation: Rotation, shape: tuple[int, ...] = ()) -> np.ndarray:
+    """Quaternions wxyz ``(*shape, 4)`` of a Rotation; by default as the Rotation is shaped."""
+    quat = rotation.as_quat(scalar_first=True)
+    return quat.reshape(*shape, 4) if shape else quat
+
+
+def quat_to_matrix(quat: np.ndarray) -> np.ndarray:
+    """Matrices ``(..., 3, 3)`` of quaternions wxyz ``(..., 4)``."""
+    quat = np.asarray(quat, float)
+    return as_rotation(quat).as_matrix().reshape(*quat.shape[:-1], 3, 3)
+
+
+def matrix_to_quat(matrix: np.ndarray) -> np.ndarray:
+    """Quaternions wxyz ``(..., 4)`` of rotation matrices ``(..., 3, 3)``."""
+    matrix = np.asarray(matrix, float)
+    return as_quat(Rotation.from_matrix(matrix.reshape(-1, 3, 3)), matrix.shape[:-2])
+
+
+def quat_multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Hamilton product of quaternions wxyz, broadcast: first ``b``, then ``a``."""
+    a, b = np.asarray(a, float), np.asarray(b, float)
+    aw, ax, ay, az = np.moveaxis(a, -1, 0)
+    bw, bx, by, bz = np.moveaxis(b, -1, 0)
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+
+
+def quat_conjugate(quat: np.ndarray) -> np.ndarray:
+    """The inverse rotation of unit quaternions wxyz ``(..., 4)``."""
+    return np.asarray(quat, float) * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def quat_rotate(quat: np.ndarray, vec: np.ndarray) -> np.ndarray:
+    """Vectors ``(..., 3)`` turned by quaternions wxyz ``(..., 4)``, broadcast."""
+    quat, vec = np.asarray(quat, float), np.asarray(vec, float)
+    u, w = quat[..., 1:], quat[..., :1]
+    t = 2.0 * np.cross(u, vec)
+    return vec + w * t + np.cross(u, t)
+
+
+def quat_to_6d(quat: np.ndarray) -> np.ndarray:
+    """First two columns of the rotation matrix, column after column ``(..., 6)``.
+
+    Source: Zhou et al., "On the Continuity of Rotation Representations", CVPR 2019.
+    """
+    matrix = quat_to_matrix(quat)
+    return np.concatenate([matrix[..., :, 0], matrix[..., :, 1]], axis=-1)
+
+
+def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Geodesic angle in radians ``(...)`` between quaternions wxyz ``(..., 4)``."""
+    d = quat_multiply(quat_conjugate(a), b)
+    return 2.0 * np.arctan2(np.linalg.norm(d[..., 1:], axis=-1), np.abs(d[..., 0]))
+
+
+def heading(quat: np.ndarray) -> np.ndarray:
+    """Yaw in radians ``(...)``: the direction of the rotated x axis on the floor."""
+    w, x, y, z = np.moveaxis(np.asarray(quat, float), -1, 0)
+    return np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def yaw_quat(yaw: np.ndarray) -> np.ndarray:
+    """Quaternions wxyz ``(..., 4)`` of a turn by ``yaw`` radians about z."""
+    yaw = np.asarray(yaw, float)
+    zero = np.zeros_like(yaw)
+    return np.stack([np.cos(yaw / 2), zero, zero, np.sin(yaw / 2)], axis=-1)
+
+
+def continuous(quat: np.ndarray) -> np.ndarray:
+    """The same rotations with signs such that neighbours along axis 0 are close ``(T, ..., 4)``."""
+    quat = np.array(quat, float)
+    flip = np.sum(quat[1:] * quat[:-1], axis=-1) < 0
+    sign = np.where(np.cumsum(flip, axis=0) % 2 == 1, -1.0, 1.0)
+    quat[1:] *= sign[..., None]
+    return quat
+
+
+def resample_quat(quat: np.ndarray, times: np.ndarray, new_times: np.ndarray) -> np.ndarray:
+    """Slerp of ``(T, ..., 4)`` from ``times`` ``(T,)`` to ``new_times`` ``(N,)``, in seconds."""
+    quat = np.asarray(quat, float)
+    flat = quat.reshape(len(quat), -1, 4)
+    out = np.empty((len(new_times), flat.shape[1], 4))
+    for j in range(flat.shape[1]):
+        out[:, j] = as_quat(Slerp(times, as_rotation(flat[:, j]))(new_times))
+    return out.reshape(len(new_times), *quat.shape[1:])
+
+
+def angular_velocity(quat: np.ndarray, fps: float) -> np.ndarray:
+    """World angular velocity in rad/s ``(T, ..., 3)`` of quaternions ``(T, ..., 4)``.
+
+    Central differences, one-sided at both ends; a single frame is at rest.
+    """
+    quat = np.asarray(quat, float)
+    if len(quat) < 2:
+        return np.zeros((*quat.shape[:-1], 3))
+    last = np.minimum(np.arange(len(quat)) + 1, len(quat) - 1)
+    first = np.maximum(np.arange(len(quat)) - 1, 0)
+    delta = quat_multiply(quat[last], quat_conjugate(quat[first]))
+    rotvec = as_rotation(delta).as_rotvec().reshape(*quat.shape[:-1], 3)
+    seconds = (last - first) / fps
+    return rotvec / seconds.reshape(-1, *([1] * (quat.ndim - 1)))
