@@ -1,0 +1,62 @@
+# `make demo` shows what this is; `make test` runs everything CI runs; `make help` lists the rest.
+
+PYTHON ?= python3
+VENV ?= .venv
+PIP_FLAGS ?=
+PYTEST_FLAGS ?= -n 2 --dist loadfile
+MOTIONS ?= synthetic
+OUT ?= runs/$(shell date +%Y%m%d-%H%M%S)
+PY := $(VENV)/bin/python
+INSTALLED := $(VENV)/.installed
+
+# Two test processes with many spinning OpenMP threads each would slow one another tenfold.
+test check wheel: export OMP_NUM_THREADS := 1
+
+.PHONY: help install demo test check format train benchmark wheel clean
+.DEFAULT_GOAL := help
+
+help:  ## list the targets
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1|/' | \
+		awk -F'|' '{ printf "%-18s %s\n", $$1, $$2 }'
+
+install: $(INSTALLED)  ## make .venv and install everything into it
+
+$(INSTALLED): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "$(PYTHON) is older than 3.11: name a newer one, as in: make PYTHON=python3.12"; exit 1; }
+	@test -x $(PY) || $(PYTHON) -c 'import ensurepip' 2>/dev/null || \
+		{ echo "python3 cannot make virtual environments: apt-get install python3-venv"; exit 1; }
+	test -x $(PY) || $(PYTHON) -m venv $(VENV)
+	$(PY) -m pip install --quiet $(PIP_FLAGS) -c constraints.txt -e ".[dev]"
+	@touch $@
+
+demo: $(INSTALLED)  ## evaluate the shipped policy on the embedded motions; writes demo/
+	$(PY) evaluate.py --agent demo --motions synthetic --out demo --video
+
+test: $(INSTALLED)  ## everything CI runs: format, lint, types, tests
+	$(PY) -m ruff format --check .
+	$(PY) -m ruff check .
+	$(PY) -m pyright --pythonpath $(PY)
+	$(PY) -m pytest $(PYTEST_FLAGS)
+
+check: format test  ## format, then everything CI runs
+
+format: $(INSTALLED)  ## format, and fix what the linter can fix
+	$(PY) -m ruff format .
+	$(PY) -m ruff check --fix .
+
+train: $(INSTALLED)  ## train on two cores; MOTIONS=bandai-namco-2:train OUT=runs/NAME
+	$(PY) train.py --preset cpu --motions $(MOTIONS) --out $(OUT)
+
+benchmark: $(INSTALLED)  ## steps a second of the environments and of training
+	$(PY) -m benchmarks.env_throughput
+	$(PY) -m benchmarks.train_throughput
+
+wheel: $(INSTALLED)  ## build the wheel into dist/ and try it outside the checkout
+	rm -rf build dist
+	$(PY) -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
+	QUESTSIM_WHEEL=$$(ls dist/*.whl) $(PY) -m pytest tests/test_packaging.py
+
+clean:  ## remove what can be made again, except .venv and runs/
+	rm -rf build dist demo *.egg-info .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +
