@@ -1,0 +1,167 @@
+"""The command ``questsim``, and the guard that every command line of the project runs in.
+
+This is the one module of ``questsim`` that knows ``agents``. It imports a subcommand's module
+only when that subcommand is run, so that ``questsim --help`` does not wait for PyTorch.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from questsim import __version__
+from questsim.errors import InputError
+
+BAD_INPUT, INTERRUPTED = 2, 130
+"""Exit codes: input that cannot be used; Ctrl-C, as shells count it (128 + SIGINT)."""
+
+
+class Command(NamedTuple):
+    """A subcommand: where its function and the dataclass of its options are, and one line of help.
+
+    The function takes the dataclass as its only argument.
+    """
+
+    module: str
+    function: str
+    args: str
+    help: str
+
+
+COMMANDS: dict[str, Command] = {
+    "motions import": Command(
+        "questsim.motion.commands", "import_motions", "ImportArgs",
+        "read BVH and npz files into a library of clips",
+    ),
+    "motions fetch": Command(
+        "questsim.motion.commands", "fetch_dataset", "FetchArgs",
+        "download a public dataset and verify every clip of it",
+    ),
+    "motions list": Command(
+        "questsim.motion.commands", "list_motions", "ListArgs",
+        "say what a library, dataset, file or folder contains",
+    ),
+    "motions show": Command(
+        "questsim.viewing.commands", "show_clip", "ShowArgs",
+        "draw a clip: a contact sheet and a video",
+    ),
+    "train": Command(
+        "agents.training", "train", "TrainArgs",
+        "train an agent, or go on with an earlier training",
+    ),
+    "evaluate": Command(
+        "agents.evaluation", "evaluate", "EvaluateArgs",
+        "let an agent follow clips and score it",
+    ),
+}  # fmt: skip
+
+
+def guarded(function: Callable[[], object]) -> int:
+    """Run a command and turn what the user can mend into one line on stderr.
+
+    Args:
+        function: the command; an int it returns is the exit code.
+
+    Returns:
+        The exit code: 0; 2 after an ``InputError`` or an ``OSError`` about a file, which are
+        printed without a traceback; 130 after Ctrl-C. Anything else is a bug and is raised.
+    """
+    try:
+        result = function()
+        sys.stdout.flush()
+    except InputError as error:
+        return _refuse(str(error))
+    except BrokenPipeError:
+        # Who read our output has had enough, as in `questsim motions list ... | head`.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        if error.filename is None:
+            raise
+        return _refuse(f"{error.filename}: {error.strerror}")
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+    return result if isinstance(result, int) else 0
+
+
+def run(command: Callable[[Any], object], args: type, argv: Sequence[str] | None = None) -> int:
+    """Parse a dataclass of options and run a command with it, guarded.
+
+    Args:
+        command: the function, called with an instance of ``args``.
+        args: a dataclass; its fields and their docstrings become the options and their help.
+        argv: the arguments; by default those of the process.
+
+    Returns:
+        The exit code; see ``guarded``.
+    """
+    import tyro
+
+    return guarded(lambda: command(tyro.cli(args, args=argv)))
+
+
+def usage() -> str:
+    """The text of ``questsim --help``."""
+    width = max(map(len, COMMANDS))
+    lines = [f"  questsim {name:{width}}  {command.help}" for name, command in COMMANDS.items()]
+    return "\n".join(
+        [
+            f"QuestSim {__version__}: a simulated avatar that follows a headset and controllers.",
+            "",
+            *lines,
+            "",
+            "questsim COMMAND --help tells a command's options.",
+        ]
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command ``questsim``; returns the exit code."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if not words or words[0] in ("-h", "--help"):
+        print(usage())
+        return 0 if words else BAD_INPUT
+    if words[0] == "--version":
+        print(f"questsim {__version__}")
+        return 0
+    for length in (2, 1):
+        name = " ".join(words[:length])
+        if name in COMMANDS:
+            return _run_named(name, words[length:])
+    family = [name for name in COMMANDS if name.startswith(words[0] + " ")]
+    if family and words[1:] and words[1] in ("-h", "--help"):
+        print("\n".join(f"questsim {name}: {COMMANDS[name].help}" for name in family))
+        return 0
+    known = ", ".join(family or COMMANDS)
+    return _refuse(f"no command {' '.join(words[:2])!r}; there are: {known}")
+
+
+def _run_named(name: str, argv: Sequence[str]) -> int:
+    import tyro
+
+    command = COMMANDS[name]
+
+    def parse_and_run() -> object:
+        module = importlib.import_module(command.module)
+        args = tyro.cli(
+            getattr(module, command.args),
+            args=argv,
+            prog=f"questsim {name}",
+            description=command.help,
+        )
+        return getattr(module, command.function)(args)
+
+    return guarded(parse_and_run)
+
+
+def _refuse(message: str) -> int:
+    print("error: " + " ".join(message.split()), file=sys.stderr)
+    return BAD_INPUT
+
+
+if __name__ == "__main__":
+    sys.exit(main())

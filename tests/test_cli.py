@@ -1,0 +1,110 @@
+"""The command line as a user meets it: help, exit codes, and one clear line for bad input."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from questsim import __version__, cli
+from questsim.errors import InputError
+
+
+def test_help_lists_every_command(capsys):
+    assert cli.main(["--help"]) == 0
+    out = capsys.readouterr().out
+    assert all(f"questsim {name}" in out for name in cli.COMMANDS)
+
+
+def test_help_imports_neither_torch_nor_mujoco():
+    code = """
+import sys
+from questsim.cli import main
+main(["--help"])
+sys.exit(bool({"torch", "mujoco", "numpy"} & set(sys.modules)))
+"""
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_version_is_the_packages(capsys):
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"questsim {__version__}\n"
+
+
+def test_no_command_prints_the_help_and_is_an_error(capsys):
+    assert cli.main([]) == 2
+    assert "questsim train" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", [["fly"], ["motions"], ["motions", "fly"]])
+def test_unknown_command_is_refused_in_one_line(words, capsys):
+    assert cli.main(words) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: no command") and error.count("\n") == 1
+    assert "motions import" in error
+
+
+def test_guard_prints_an_input_error_as_one_line(capsys):
+    def refuse():
+        raise InputError("MOTION block ends\nafter 12 of 273 frames", "walk.bvh", "fetch it again")
+
+    assert cli.guarded(refuse) == 2
+    expected = "error: walk.bvh: MOTION block ends after 12 of 273 frames; fetch it again\n"
+    assert capsys.readouterr().err == expected
+
+
+def test_guard_names_the_file_that_the_system_refuses(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    path = tmp_path / "file" / "below"
+    assert cli.guarded(path.read_text) == 2
+    assert capsys.readouterr().err == f"error: {path}: Not a directory\n"
+
+
+def test_guard_lets_bugs_through():
+    def bug():
+        raise KeyError("bug")
+
+    with pytest.raises(KeyError):
+        cli.guarded(bug)
+
+
+def test_guard_reports_ctrl_c_as_shells_do(capsys):
+    def interrupt():
+        raise KeyboardInterrupt
+
+    assert cli.guarded(interrupt) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_guard_passes_exit_codes_on():
+    assert cli.guarded(lambda: None) == 0
+    assert cli.guarded(lambda: 3) == 3
+
+
+def test_reader_that_stops_early_is_no_error():
+    code = """
+import sys
+from questsim.cli import guarded
+sys.exit(guarded(lambda: [print("line") for _ in range(100000)]))
+"""
+    pipe = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert pipe.stdout and pipe.stderr
+    pipe.stdout.readline()
+    pipe.stdout.close()
+    assert pipe.stderr.read() == b""
+    assert pipe.wait() == 0
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_command_explains_its_options(name):
+    done = subprocess.run(
+        [sys.executable, "-m", "questsim.cli", *name.split(), "--help"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"COLUMNS": "100"},
+    )
+    assert done.returncode == 0, done.stderr
+    assert f"questsim {name}" in done.stdout
