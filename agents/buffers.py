@@ -1,0 +1,95 @@
+"""Rollout storage as torch tensors: no copy and no cast between collecting and learning."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from gymnasium import spaces
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Minibatch:
+    """Rows of a rollout: observations ``(b, D)``, actions and means ``(b, A)``, others ``(b,)``."""
+
+    observations: Tensor
+    actions: Tensor
+    means: Tensor
+    log_probs: Tensor
+    advantages: Tensor
+    returns: Tensor
+
+
+class TensorRolloutBuffer:
+    """One rollout of ``T`` steps in ``N`` environments, in the place of SB3's RolloutBuffer.
+
+    Args:
+        buffer_size: steps ``T``.
+        observation_space: box ``(D,)``.
+        action_space: box ``(A,)``.
+        device: where the tensors live.
+        gae_lambda: trade-off of generalised advantage estimation.
+        gamma: discount a step.
+        n_envs: environments ``N``.
+    """
+
+    def __init__(
+        self,
+        buffer_size: int,
+        observation_space: spaces.Box,
+        action_space: spaces.Box,
+        device: torch.device | str = "cpu",
+        gae_lambda: float = 0.95,
+        gamma: float = 0.99,
+        n_envs: int = 1,
+    ) -> None:
+        self.gamma, self.gae_lambda = gamma, gae_lambda
+        steps, actions = (buffer_size, n_envs), action_space.shape[0]
+        self.observations = torch.zeros(*steps, observation_space.shape[0], device=device)
+        self.actions = torch.zeros(*steps, actions, device=device)
+        self.means = torch.zeros(*steps, actions, device=device)
+        self.rewards = torch.zeros(steps, device=device)
+        self.dones = torch.zeros(steps, device=device)
+        self.values = torch.zeros(steps, device=device)
+        self.log_probs = torch.zeros(steps, device=device)
+        self.advantages = torch.zeros(steps, device=device)
+
+    def reset(self) -> None:
+        """Nothing to do: every entry is overwritten by the next rollout."""
+
+    def compute_advantages(self, last_values: Tensor) -> None:
+        """Generalised advantage estimation (Schulman et al. 2016, eq. 16).
+
+        Args:
+            last_values: ``(N,)`` values of the observations after the last step.
+        """
+        following, running = last_values, torch.zeros_like(last_values)
+        for t in range(len(self.rewards) - 1, -1, -1):
+            alive = 1.0 - self.dones[t]
+            delta = self.rewards[t] + self.gamma * alive * following - self.values[t]
+            running = delta + self.gamma * self.gae_lambda * alive * running
+            self.advantages[t] = running
+            following = self.values[t]
+
+    def flat_observations(self) -> Tensor:
+        """All observations ``(T * N, D)``."""
+        return self.observations.flatten(0, 1)
+
+    def minibatches(self, size: int, generator: torch.Generator) -> Iterator[Minibatch]:
+        """All rows once, in random order, ``size`` at a time; advantages are normalised."""
+        advantages = self.advantages.flatten()
+        returns = advantages + self.values.flatten()
+        advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        columns = (
+            self.flat_observations(),
+            self.actions.flatten(0, 1),
+            self.means.flatten(0, 1),
+            self.log_probs.flatten(),
+            advantages,
+            returns,
+        )
+        order = torch.randperm(len(returns), generator=generator)
+        for rows in order.split(size):
+            yield Minibatch(*(column.index_select(0, rows) for column in columns))

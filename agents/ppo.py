@@ -1,0 +1,209 @@
+"""PPO on stable-baselines3, with batched value estimates and a KL-adaptive learning rate."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnv
+from torch import Tensor
+
+from agents.buffers import Minibatch, TensorRolloutBuffer
+from agents.errors import TrainingError
+from agents.policy import TorquePolicy
+
+LEARNING_RATE_RANGE = (1e-5, 3e-3)
+
+
+class AdaptivePPO(PPO):
+    """Proximal policy optimisation (Schulman et al. 2017), fast on few cores.
+
+    It differs from stable-baselines3's PPO in four ways: values are computed once a rollout, in one
+    batch, and so are those of truncated episodes; the rollout stays in torch tensors; the learning
+    rate follows the KL divergence of the update (as in rsl_rl); the observation normaliser of the
+    policy is updated after each update. The first rollout only measures the observations.
+
+    Args:
+        policy: ``TorquePolicy``, and its ``policy_kwargs``.
+        env: a stable-baselines3 VecEnv.
+        desired_kl: the KL divergence an update should come to; None keeps the learning rate.
+        reward_scale: factor on rewards; ``1 - gamma`` brings values into the rewards' range.
+        **options: those of stable-baselines3's PPO.
+    """
+
+    policy: TorquePolicy
+    rollout_buffer: TensorRolloutBuffer  # type: ignore[assignment]
+
+    def __init__(
+        self,
+        policy: type[TorquePolicy],
+        env: VecEnv,
+        *,
+        desired_kl: float | None = None,
+        reward_scale: float = 1.0,
+        **options: Any,
+    ) -> None:
+        self.desired_kl, self.reward_scale = desired_kl, reward_scale
+        self.actor_frozen = False
+        super().__init__(
+            policy,
+            env,
+            rollout_buffer_class=TensorRolloutBuffer,  # type: ignore[arg-type]
+            device="cpu",
+            **options,
+        )
+        self.actor_rate = float(self.lr_schedule(1))
+        self.generator = torch.Generator().manual_seed(self.seed or 0)
+
+    def collect_rollouts(  # type: ignore[override]
+        self,
+        env: VecEnv,
+        callback: BaseCallback,
+        rollout_buffer: TensorRolloutBuffer,
+        n_rollout_steps: int,
+    ) -> bool:
+        """Fill the buffer with ``n_rollout_steps`` of each environment; see SB3."""
+        policy, buffer = self.policy, rollout_buffer
+        policy.set_training_mode(False)
+        callback.on_rollout_start()
+        noise = policy.log_std.detach().exp()
+        truncated: list[tuple[int, int, np.ndarray]] = []
+        assert self._last_obs is not None
+        for t in range(n_rollout_steps):
+            obs = buffer.observations[t]
+            obs.copy_(torch.from_numpy(self._last_obs))
+            with torch.inference_mode():
+                mean = policy.action_mean(obs)
+                action = mean + noise * torch.randn(mean.shape, generator=self.generator)
+            buffer.means[t], buffer.actions[t] = mean, action
+            new_obs, rewards, dones, infos = env.step(action.clamp(-1.0, 1.0).numpy())
+            buffer.rewards[t] = torch.from_numpy(rewards)
+            buffer.dones[t] = torch.from_numpy(dones)
+            ended = np.flatnonzero(dones)
+            self._update_info_buffer([infos[i] for i in ended])
+            for i in ended:
+                if infos[i].get("TimeLimit.truncated", False):
+                    truncated.append((t, int(i), infos[i]["terminal_observation"]))
+            self._last_obs, self._last_episode_starts = new_obs, dones
+            self.num_timesteps += env.num_envs
+            callback.update_locals(locals())
+            if not callback.on_step():
+                return False
+        self._estimate_values(truncated)
+        callback.on_rollout_end()
+        return True
+
+    @torch.no_grad()
+    def _estimate_values(self, truncated: list[tuple[int, int, np.ndarray]]) -> None:
+        """Values, log probabilities and advantages of the rollout, in few large batches.
+
+        Args:
+            truncated: step, environment and last observation of every episode that ran out of
+                reference rather than fell: its future is worth what the critic says.
+        """
+        policy, buffer = self.policy, self.rollout_buffer
+        if not bool(torch.isfinite(buffer.rewards).all()):
+            raise TrainingError("the reward is not finite", self.num_timesteps)
+        buffer.rewards *= self.reward_scale
+        shape = buffer.values.shape
+        buffer.values[:] = policy.predict_values(buffer.flat_observations()).view(shape)
+        log_probs = policy.log_prob(buffer.means.flatten(0, 1), buffer.actions.flatten(0, 1))
+        buffer.log_probs[:] = log_probs.view(shape)
+        if truncated:
+            steps, envs, last = zip(*truncated, strict=True)
+            values = policy.predict_values(torch.from_numpy(np.stack(last))).squeeze(1)
+            buffer.rewards[list(steps), list(envs)] += self.gamma * values
+        assert isinstance(self._last_obs, np.ndarray)
+        last_values = policy.predict_values(torch.from_numpy(self._last_obs)).squeeze(1)
+        buffer.compute_advantages(last_values)
+
+    def train(self) -> None:
+        """Update the policy from the rollout, then the normaliser."""
+        first = self.policy.actor.norm.count.item() == 0
+        if not first:
+            self._optimise()
+        self.policy.update_norm(self.rollout_buffer.flat_observations())
+
+    def _optimise(self) -> None:
+        policy, record = self.policy, self.logger.record
+        policy.set_training_mode(True)
+        groups = policy.optimizer.param_groups
+        groups[0]["lr"] = 0.0 if self.actor_frozen else self.actor_rate
+        if policy.settings["critic_learning_rate"] is None:
+            groups[1]["lr"] = self.actor_rate
+        old_log_std = policy.log_std.detach().clone()
+        sums, count = torch.zeros(4), 0
+        last_epoch = torch.zeros(4)
+        for epoch in range(self.n_epochs):
+            for batch in self.rollout_buffer.minibatches(self.batch_size, self.generator):
+                figures = self._step(batch, old_log_std)
+                sums += figures
+                count += 1
+                if epoch == self.n_epochs - 1:
+                    last_epoch += figures / (
+                        len(self.rollout_buffer.rewards.flatten()) / len(batch.returns)
+                    )
+        self._n_updates += self.n_epochs
+        kl = last_epoch[2].item()
+        self._adapt_rate(kl)
+        record("train/policy_loss", sums[0].item() / count)
+        record("train/value_loss", sums[1].item() / count)
+        record("train/kl", kl)
+        record("train/clip_fraction", sums[3].item() / count)
+        record("train/learning_rate", self.actor_rate)
+        record("train/noise", policy.log_std.detach().exp().mean().item())
+
+    def _step(self, batch: Minibatch, old_log_std: Tensor) -> Tensor:
+        """One gradient step.
+
+        Returns:
+            ``(4,)`` policy loss, value loss, KL divergence, share of clipped ratios.
+        """
+        policy = self.policy
+        mean = policy.action_mean(batch.observations)
+        log_ratio = policy.log_prob(mean, batch.actions) - batch.log_probs
+        ratio = log_ratio.exp()
+        clip = float(self.clip_range(1))  # type: ignore[operator]
+        clipped = ratio.clamp(1 - clip, 1 + clip)
+        gain = torch.minimum(ratio * batch.advantages, clipped * batch.advantages)
+        values = policy.predict_values(batch.observations).squeeze(1)
+        policy_loss = -gain.mean()
+        value_loss = (values - batch.returns).square().mean()
+        loss = policy_loss + self.vf_coef * value_loss
+        if self.ent_coef:
+            loss = loss - self.ent_coef * policy.log_std.sum()
+        if not bool(torch.isfinite(loss)):
+            raise TrainingError("the loss is not finite", self.num_timesteps)
+        policy.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        for group in policy.optimizer.param_groups:
+            torch.nn.utils.clip_grad_norm_(group["params"], self.max_grad_norm)
+        policy.optimizer.step()
+        with torch.no_grad():
+            kl = _gaussian_kl(batch.means, old_log_std, mean, policy.log_std)
+            clip_fraction = ((ratio - 1).abs() > clip).float().mean()
+            return torch.stack((policy_loss, value_loss, kl, clip_fraction))
+
+    def _adapt_rate(self, kl: float) -> None:
+        """Halve or double the learning rate when the update went too far or not far enough."""
+        if self.desired_kl is None or self.actor_frozen:
+            return
+        if kl > 2.0 * self.desired_kl:
+            self.actor_rate /= 2.0
+        elif kl > 1.3 * self.desired_kl:
+            self.actor_rate /= 1.2
+        elif kl < 0.5 * self.desired_kl:
+            self.actor_rate *= 2.0
+        elif kl < 0.75 * self.desired_kl:
+            self.actor_rate *= 1.2
+        self.actor_rate = float(np.clip(self.actor_rate, *LEARNING_RATE_RANGE))
+
+
+def _gaussian_kl(mean0: Tensor, log_std0: Tensor, mean1: Tensor, log_std1: Tensor) -> Tensor:
+    """Mean KL divergence of diagonal Gaussians 0 from 1 over the batch."""
+    var0, var1 = (2 * log_std0).exp(), (2 * log_std1).exp()
+    terms = log_std1 - log_std0 + (var0 + (mean0 - mean1).square()) / (2 * var1) - 0.5
+    return terms.sum(1).mean()

@@ -1,0 +1,135 @@
+"""What a policy is made of, and what it expects of the environment it acts in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from questsim.errors import InputError
+
+SPARSE_BLOCKS: tuple[str, ...] = ("o_sim", "o_user", "o_scale")
+"""What a headset-driven policy sees (QuestSim, section 4.2)."""
+
+TRACKER_BLOCKS: tuple[str, ...] = ("o_sim", "o_scale", "privileged")
+"""What a full-body tracker sees: the reference itself instead of the devices."""
+
+JOINT_BLOCK, REFERENCE_BLOCK = "joint_angles", "reference_joint_angles"
+"""The blocks of joint angles that the torque head compares."""
+
+# Exploration noise by joint: large where torques are large and mistakes are survived, small where
+# a light limb would only tremble (feasibility: 0.12 for legs and trunk, 0.04 for arms and neck).
+LEG_AND_TRUNK_JOINTS = ("hip", "knee", "ankle", "spine", "chest")
+
+HEAD_SETTLING_TIME_S = 0.04
+"""The initial stiffness is 4 x damping over this time."""
+
+
+@dataclass(frozen=True)
+class PolicySpec:
+    """The shape of a policy's networks and of its torque head.
+
+    Attributes:
+        actor_blocks: names of the observation blocks that the actor reads, in order.
+        critic_blocks: those that the critic reads; empty for a policy without critic.
+        hidden: widths of the hidden layers, of the actor and of the critic alike.
+        activation: ``tanh``, ``elu`` or ``silu``.
+        torque_head: whether to add the proportional term to the actor's output.
+        reference_head: whether the proportional term is around the reference pose (else around
+            the zero pose).
+    """
+
+    actor_blocks: tuple[str, ...] = SPARSE_BLOCKS
+    critic_blocks: tuple[str, ...] = SPARSE_BLOCKS
+    hidden: tuple[int, ...] = (400, 300, 200)
+    activation: str = "tanh"
+    torque_head: bool = True
+    reference_head: bool = False
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The named blocks of a flat observation.
+
+    Attributes:
+        blocks: first and one-past-last column of each block.
+    """
+
+    blocks: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, slices: Mapping[str, slice]) -> Layout:
+        """The layout of an environment's ``layout`` dictionary of slices."""
+        return cls({name: (int(s.start), int(s.stop)) for name, s in slices.items()})
+
+    def columns(self, names: tuple[str, ...]) -> np.ndarray:
+        """Column indices of the named blocks, one after the other.
+
+        Raises:
+            InputError: if there is no such block.
+        """
+        for name in names:
+            if name not in self.blocks:
+                raise InputError(
+                    f"the observation has no block {name!r}; it has {', '.join(self.blocks)}",
+                    fix="use an environment with that block (privileged=True for a teacher)",
+                )
+        if not names:
+            return np.zeros(0, dtype=np.int64)
+        return np.concatenate([np.arange(*self.blocks[name]) for name in names])
+
+    def within(self, names: tuple[str, ...]) -> Layout:
+        """Only the blocks whose columns all belong to the named ones: what a policy depends on."""
+        used = set(self.columns(names).tolist())
+        return Layout({n: b for n, b in self.blocks.items() if used.issuperset(range(*b))})
+
+    def sizes(self) -> dict[str, int]:
+        """Number of columns of each block."""
+        return {name: stop - start for name, (start, stop) in self.blocks.items()}
+
+    def check_provides(self, needed: Layout, where: str | None = None) -> None:
+        """Refuse an observation that lacks a block, or has one of another size or inner order.
+
+        Args:
+            needed: the blocks a policy was trained with.
+            where: the policy's name, for the message.
+
+        Raises:
+            InputError: naming the first block that differs.
+        """
+        sizes = self.sizes()
+        for name, size in needed.sizes().items():
+            if sizes.get(name) != size:
+                have = f"has {sizes[name]}" if name in sizes else "lacks it"
+                raise InputError(
+                    f"the policy reads {size} numbers of {name!r}, the observation {have}",
+                    where,
+                    "use the sensors and number of future frames it was trained with",
+                )
+        for outer, (start, stop) in needed.blocks.items():
+            for inner, (inner_start, inner_stop) in needed.blocks.items():
+                inside = start <= inner_start and inner_stop <= stop
+                shift = self.blocks[inner][0] - self.blocks[outer][0]
+                if inside and shift != inner_start - start:
+                    raise InputError(f"block {inner!r} lies elsewhere within {outer!r}", where)
+
+
+def initial_gains(torque_limits: np.ndarray, damping: np.ndarray) -> np.ndarray:
+    """Start values of the torque head, as action per radian ``(33,)``.
+
+    Args:
+        torque_limits: ``(33,)`` N m.
+        damping: ``(33,)`` passive joint damping in N m s/rad.
+    """
+    # A joint without damping (preset `paper`) still needs a positive gain: 1 % of its limit.
+    stiffness = 4.0 * damping / HEAD_SETTLING_TIME_S
+    return np.maximum(stiffness / torque_limits, 0.01)
+
+
+def noise_by_joint(
+    joint_names: tuple[str, ...], legs_and_trunk: float, arms_and_neck: float
+) -> np.ndarray:
+    """Standard deviation of the exploration noise ``(33,)``, in units of the action."""
+    strong = [any(part in name for part in LEG_AND_TRUNK_JOINTS) for name in joint_names]
+    return np.where(strong, legs_and_trunk, arms_and_neck)
