@@ -1,0 +1,162 @@
+"""Forward kinematics of the avatar over whole clips, and what follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from questsim import rotations as rot
+from questsim.body import DEFAULT_HEIGHT_M, build_body
+from questsim.motion.clip import FPS, Clip
+from questsim.skeleton import DOFS, FEET, LINK_PARENTS, LINKS, NUM_LINKS
+
+CONTACT_HEIGHT_M = 0.025
+"""A foot bears on the floor where a point of its sole is lower than this ..."""
+CONTACT_SPEED_M_S = 0.5
+"""... and slower than this; both for the default body, scaled with height."""
+
+
+@lru_cache(maxsize=1)
+def link_offsets() -> np.ndarray:
+    """``(16, 3)`` each link's origin in its parent's frame, of the default body, in metres."""
+    offsets = build_body().model.body_pos[1:].copy()
+    offsets[0] = 0.0
+    return offsets
+
+
+@lru_cache(maxsize=1)
+def hinge_axes() -> tuple[tuple[tuple[int, np.ndarray], ...], ...]:
+    """For each link its hinges in order, as (index among the 33, axis ``(3,)``)."""
+    model = build_body().model
+    hinges: list[list[tuple[int, np.ndarray]]] = [[] for _ in LINKS]
+    for dof in range(len(DOFS)):
+        joint = model.joint(DOFS[dof])
+        hinges[int(joint.bodyid[0]) - 1].append((dof, joint.axis.copy()))
+    return tuple(tuple(h) for h in hinges)
+
+
+@lru_cache(maxsize=1)
+def sole_points() -> np.ndarray:
+    """``(2, 4, 3)`` the four points on which each foot stands, in the foot's frame, in metres."""
+    model = build_body().model
+    points = []
+    for foot in FEET:
+        side = foot.split("_")[0]
+        for name in ("heel_ball_outer", "heel_ball_inner"):
+            geom = model.geom(f"{side}_{name}")
+            radius, half_length = geom.size[0], geom.size[1]
+            axis = rot.quat_rotate(geom.quat, np.array([0.0, 0.0, 1.0]))
+            for end in (-1.0, 1.0):
+                points.append(geom.pos + end * half_length * axis - [0.0, 0.0, radius])
+    return np.array(points).reshape(2, 4, 3)
+
+
+def link_poses(qpos: np.ndarray, height_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Positions ``(T, 16, 3)`` in metres and orientations ``(T, 16, 4)`` of ``(T, 40)`` poses."""
+    frames = len(qpos)
+    offsets = link_offsets() * (height_m / DEFAULT_HEIGHT_M)
+    position = np.empty((frames, NUM_LINKS, 3))
+    quat = np.empty((frames, NUM_LINKS, 4))
+    position[:, 0], quat[:, 0] = qpos[:, :3], qpos[:, 3:7]
+    for link in range(1, NUM_LINKS):
+        parent = LINK_PARENTS[link]
+        position[:, link] = position[:, parent] + rot.quat_rotate(quat[:, parent], offsets[link])
+        orientation = quat[:, parent]
+        for dof, axis in hinge_axes()[link]:
+            half = qpos[:, 7 + dof, None] / 2.0
+            hinge = np.concatenate([np.cos(half), np.sin(half) * axis], axis=-1)
+            orientation = rot.quat_multiply(orientation, hinge)
+        quat[:, link] = orientation
+    return position, quat
+
+
+def sole_positions(foot_position: np.ndarray, foot_quat: np.ndarray, height_m: float) -> np.ndarray:
+    """World positions ``(..., 2, 4, 3)`` of the soles' points of two feet ``(..., 2, 3 | 4)``."""
+    points = sole_points() * (height_m / DEFAULT_HEIGHT_M)
+    return foot_position[..., None, :] + rot.quat_rotate(foot_quat[..., None, :], points)
+
+
+def central_difference(values: np.ndarray, fps: float = FPS) -> np.ndarray:
+    """Rate of change along axis 0, one-sided at both ends; a single frame is at rest."""
+    return np.gradient(values, 1.0 / fps, axis=0) if len(values) > 1 else np.zeros_like(values)
+
+
+def clip_from_qpos(name: str, qpos: np.ndarray, height_m: float, **about: str) -> Clip:
+    """A clip of ``(T, 40)`` poses at 36 Hz of the body of that height.
+
+    Args:
+        name: the clip's name.
+        qpos: root position (m), root quaternion wxyz, 33 joint angles (rad), in each row.
+        height_m: the body's stature.
+        about: ``source``, ``source_sha256``, ``licence``, ``kind``, ``style``.
+    """
+    return clips_from_qpos([name], [qpos], [height_m], [about])[0]
+
+
+def clips_from_qpos(
+    names: Sequence[str],
+    qpos: Sequence[np.ndarray],
+    heights_m: Sequence[float],
+    about: Sequence[dict[str, str]],
+) -> list[Clip]:
+    """Many clips at once, as ``clip_from_qpos`` makes one; much faster for short clips."""
+    clips = []
+    for height in sorted(set(heights_m)):
+        chosen = [i for i, h in enumerate(heights_m) if h == height]
+        rows = np.concatenate([np.asarray(qpos[i], float) for i in chosen])
+        rows[:, 3:7] /= np.linalg.norm(rows[:, 3:7], axis=-1, keepdims=True)
+        position, quat = link_poses(rows, height)
+        ends = np.cumsum([len(qpos[i]) for i in chosen])
+        starts = ends - [len(qpos[i]) for i in chosen]
+        for i, start, end in zip(chosen, starts, ends, strict=True):
+            part = slice(int(start), int(end))
+            clip = _clip(names[i], rows[part], height, position[part], quat[part], about[i])
+            clips.append((i, clip))
+    return [clip for _, clip in sorted(clips, key=lambda pair: pair[0])]
+
+
+def _clip(
+    name: str,
+    qpos: np.ndarray,
+    height_m: float,
+    position: np.ndarray,
+    quat: np.ndarray,
+    about: dict[str, str],
+) -> Clip:
+    qpos = qpos.copy()
+    qpos[:, 3:7] = rot.continuous(qpos[:, 3:7])
+    quat = rot.continuous(quat)
+    velocity = central_difference(position)
+    angular = rot.angular_velocity(quat, FPS)
+    qvel = np.concatenate(
+        [
+            velocity[:, 0],
+            rot.quat_rotate(rot.quat_conjugate(quat[:, 0]), angular[:, 0]),
+            central_difference(qpos[:, 7:]),
+        ],
+        axis=-1,
+    )
+    return Clip(
+        name=name,
+        height_m=height_m,
+        qpos=qpos,
+        qvel=qvel,
+        link_position=position,
+        link_quat=quat,
+        link_velocity=velocity,
+        link_angular_velocity=angular,
+        contacts=foot_contacts(position, quat, height_m),
+        **about,
+    )
+
+
+def foot_contacts(position: np.ndarray, quat: np.ndarray, height_m: float) -> np.ndarray:
+    """``(T, 2)`` bool: a point of the sole is near the floor and nearly at rest."""
+    feet = [LINKS.index(foot) for foot in FEET]
+    soles = sole_positions(position[:, feet], quat[:, feet], height_m)
+    ratio = height_m / DEFAULT_HEIGHT_M
+    low = soles[..., 2] < CONTACT_HEIGHT_M * ratio
+    slow = np.linalg.norm(central_difference(soles), axis=-1) < CONTACT_SPEED_M_S * ratio
+    return (low & slow).any(axis=-1)
