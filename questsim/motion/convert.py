@@ -1,0 +1,230 @@
+"""From a recording on its own skeleton to a ``Motion`` on ours, by constant rotations."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from questsim import rotations as rot
+from questsim.errors import InputError
+from questsim.motion.bvh import Recording
+from questsim.motion.families import Family
+from questsim.motion.motion import Motion
+from questsim.skeleton import JOINT_PARENTS, JOINTS, NUM_JOINTS
+
+DOWN = np.array([0.0, 0.0, -1.0])
+STRAIGHT: dict[str, tuple[str, np.ndarray]] = {
+    "left_hip": ("left_knee", DOWN),
+    "left_knee": ("left_ankle", DOWN),
+    "right_hip": ("right_knee", DOWN),
+    "right_knee": ("right_ankle", DOWN),
+    "left_shoulder": ("left_elbow", np.array([0.0, 1.0, 0.0])),
+    "left_elbow": ("left_wrist", np.array([0.0, 1.0, 0.0])),
+    "right_shoulder": ("right_elbow", np.array([0.0, -1.0, 0.0])),
+    "right_elbow": ("right_wrist", np.array([0.0, -1.0, 0.0])),
+}
+"""Limbs that the T-pose stretches: the joint at the bone's end, and the bone's direction."""
+
+MAX_STRETCH_M = 0.02
+"""Bones may change their length by as much, e.g. where the file has two neck joints."""
+
+
+def axis_vector(axis: str) -> np.ndarray:
+    """The unit vector ``(3,)`` of ``"x"``, ``"-y"``, ..."""
+    vector = np.zeros(3)
+    vector["xyz".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
+    return vector
+
+
+def axes_matrix(axes: str, where: str = "") -> np.ndarray:
+    """Columns: forward, left and up of an axes string such as ``"z -y x"``, ``(3, 3)``."""
+    matrix = np.stack([axis_vector(axis) for axis in axes.split()], axis=1)
+    if np.linalg.det(matrix) < 0.5:
+        raise InputError(f"axes {axes!r} are left-handed", where or None, "turn one axis round")
+    return matrix
+
+
+def world_axes(up: str) -> np.ndarray:
+    """The rotation ``(3, 3)`` that takes a file's world with that up axis to ours, z up.
+
+    Files with y up face +z and files with z up face -y by custom; only the heading depends on it.
+    """
+    forward = {"y": "z", "z": "-y", "x": "y"}[up[-1]]
+    up_vector, forward_vector = axis_vector(up), axis_vector(forward)
+    return np.stack([forward_vector, np.cross(up_vector, forward_vector), up_vector])
+
+
+def global_pose(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """World positions ``(T, J, 3)`` and orientations ``(T, J, 4)`` in the file's frame."""
+    positions, orientations = recording.positions.copy(), recording.rotations.copy()
+    for joint, parent in enumerate(recording.parents):
+        if parent >= 0:
+            turn = orientations[:, parent]
+            positions[:, joint] = positions[:, parent] + rot.quat_rotate(
+                turn, recording.positions[:, joint]
+            )
+            orientations[:, joint] = rot.quat_multiply(turn, recording.rotations[:, joint])
+    return positions, orientations
+
+
+def to_motion(recording: Recording, family: Family, metres: float, up: str, **meta: str) -> Motion:
+    """The recording on the 22-joint skeleton.
+
+    Joint positions are kept to within rounding where the file's bones are rigid.
+
+    Args:
+        recording: the motion as the file has it.
+        family: which file joint is which, and how its axes lie in the T-pose.
+        metres: metres a unit of the file.
+        up: the file's up axis, ``"y"``, ``"-z"``, ...
+        **meta: ``kind``, ``style``, ``licence`` of the ``Motion``.
+
+    Raises:
+        InputError: a joint of the family is not in the file, or bones change their length.
+    """
+    where = str(recording.path)
+    index = {}
+    for ours, theirs in family.joints.items():
+        if theirs not in recording.names:
+            raise InputError(f"there is no joint {theirs!r}", where, "check the mapping")
+        index[JOINTS.index(ours)] = recording.names.index(theirs)
+    positions, orientations = global_pose(recording)
+    joints = list(index)
+    positions = positions[:, list(index.values())] * metres
+    orientations = orientations[:, list(index.values())]
+    bones = {}
+    for column, joint in enumerate(joints):
+        parent = _mapped_parent(joint, index)
+        if parent is not None:
+            at = joints.index(parent)
+            bones[joint] = rot.quat_rotate(
+                rot.quat_conjugate(orientations[:, at]), positions[:, column] - positions[:, at]
+            )
+    rest = _rest_rotations(family, {j: np.median(b, axis=0) for j, b in bones.items()}, where)
+    world = world_axes(up)
+    world_quat = rot.matrix_to_quat(world)
+    turned = np.empty((len(positions), NUM_JOINTS, 4))
+    for joint in range(NUM_JOINTS):
+        if joint in index:
+            own = orientations[:, joints.index(joint)]
+            turned[:, joint] = rot.quat_multiply(
+                world_quat, rot.quat_multiply(own, rot.matrix_to_quat(rest[joint]))
+            )
+        else:
+            turned[:, joint] = turned[:, JOINT_PARENTS[joint]]
+    placed = {j: positions[:, c] @ world.T for c, j in enumerate(joints)}
+    offsets = _offsets(placed, turned, where)
+    local = turned.copy()
+    for joint in range(1, NUM_JOINTS):
+        local[:, joint] = rot.quat_multiply(
+            rot.quat_conjugate(turned[:, JOINT_PARENTS[joint]]), turned[:, joint]
+        )
+    local /= np.linalg.norm(local, axis=-1, keepdims=True)
+    return Motion(
+        name=recording.path.stem,
+        fps=recording.fps,
+        root_position=placed[0],
+        rotations=rot.continuous(local),
+        offsets=offsets,
+        source=recording.path.name,
+        source_sha256=recording.sha256,
+        **meta,
+    )
+
+
+def _mapped_parent(joint: int, mapped) -> int | None:
+    """The nearest ancestor that the file has; None for the root."""
+    while joint:
+        joint = JOINT_PARENTS[joint]
+        if joint in mapped:
+            return joint
+    return None
+
+
+def _rest_rotations(
+    family: Family, bones: dict[int, np.ndarray], where: str
+) -> dict[int, np.ndarray]:
+    """For each mapped joint our T-pose axes as columns in the joint's own frame ``(3, 3)``.
+
+    Limb bones that are not quite straight in the family's rest pose are turned to be so by the
+    shortest way, which leaves the hinge axes of knees and elbows lateral and vertical.
+    """
+    rest, straightened = {}, {}
+    for joint, name in enumerate(JOINTS):
+        if name not in family.joints:
+            continue
+        matrix = axes_matrix(family.axes_of(name), where)
+        part = name.split("_")[-1]
+        pitch = {"ankle": family.foot_pitch, "toe": family.toe_pitch}.get(part, 0.0)
+        matrix = matrix @ Rotation.from_euler("y", -pitch).as_matrix()
+        turn = np.eye(3)
+        if name in STRAIGHT:
+            child, direction = STRAIGHT[name]
+            turn = _shortest_turn(matrix.T @ bones[JOINTS.index(child)], direction)
+        elif part == "wrist" or (part in ("ankle", "toe") and family.feet_follow_shins):
+            turn = straightened[JOINT_PARENTS[joint]]
+        straightened[joint] = turn
+        rest[joint] = matrix @ turn.T
+    return rest
+
+
+def _shortest_turn(vector: np.ndarray, onto: np.ndarray) -> np.ndarray:
+    """The matrix ``(3, 3)`` of the shortest rotation that points ``vector`` along ``onto``."""
+    vector = vector / np.linalg.norm(vector)
+    axis = np.cross(vector, onto)
+    sine = np.linalg.norm(axis)
+    if sine < 1e-12:
+        return np.eye(3)
+    return Rotation.from_rotvec(axis / sine * np.arctan2(sine, vector @ onto)).as_matrix()
+
+
+def _offsets(placed: dict[int, np.ndarray], turned: np.ndarray, where: str) -> np.ndarray:
+    """Offsets ``(22, 3)`` of all joints in their parents; missing ones are put halfway.
+
+    Where a joint's place in its parent varies (the file bends at a joint that we lack), the
+    parent is turned in ``turned`` to point at it, if it has no other child.
+    """
+    offsets = np.zeros((NUM_JOINTS, 3))
+    placed = dict(placed)
+    for joint in range(1, NUM_JOINTS):
+        parent = JOINT_PARENTS[joint]
+        missing = joint not in placed
+        target = placed[_next_mapped(joint, placed)] if missing else placed[joint]
+        inverse = rot.quat_conjugate(turned[:, parent])
+        bone = rot.quat_rotate(inverse, target - placed[parent])
+        mean = np.median(bone, axis=0)
+        if missing:
+            offsets[joint] = mean / 2.0
+            placed[joint] = placed[parent] + rot.quat_rotate(turned[:, parent], offsets[joint])
+            continue
+        offsets[joint] = mean
+        if np.linalg.norm(bone - mean, axis=-1).max() > 1e-3 and JOINT_PARENTS.count(parent) == 1:
+            _aim(turned[:, parent], bone, mean)
+            bone = mean * (np.linalg.norm(bone, axis=-1) / np.linalg.norm(mean))[:, None]
+        stretch = np.linalg.norm(bone - mean, axis=-1)
+        if stretch.max() > MAX_STRETCH_M:
+            raise InputError(
+                f"{JOINTS[joint]} moves by {100 * stretch.max():.1f} cm in its parent's frame "
+                f"at frame {int(stretch.argmax())}: bones are not rigid",
+                where,
+                "export with rigid bones",
+            )
+    return offsets
+
+
+def _next_mapped(joint: int, placed: dict[int, np.ndarray]) -> int:
+    """The first joint below a missing one that the file has; the neck below the spine."""
+    below = [j for j in range(joint + 1, NUM_JOINTS) if JOINT_PARENTS[j] == joint]
+    for child in below:
+        if child in placed:
+            return child
+    return _next_mapped(below[0], placed)
+
+
+def _aim(turned: np.ndarray, bone: np.ndarray, mean: np.ndarray) -> None:
+    """Turns orientations ``(T, 4)`` in place so that ``mean`` points along each ``bone``."""
+    a = mean / np.linalg.norm(mean)
+    b = bone / np.linalg.norm(bone, axis=-1, keepdims=True)
+    half = np.concatenate([1.0 + b @ a[:, None], np.cross(a, b)], axis=-1)
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    turned[:] = rot.quat_multiply(turned, half)
