@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from questsim import metrics_terms as terms
-from questsim import rotations as rot
-from questsim.body import build_body
+from questsim.body import DEFAULT_HEIGHT_M, build_body
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
+from questsim.motion.kinematics import sole_points
 from questsim.skeleton import FEET, FOOT_LINKS, NUM_DOFS, NUM_LINKS
 
 SCHEMA, SCHEMA_VERSION = "questsim-metrics", 1
@@ -175,7 +174,7 @@ def samples(rollout: Rollout) -> dict[str, np.ndarray]:
     position, quat = rollout.link_position[:frames], rollout.link_quat[:frames]
     reference, fps = rollout.reference, rollout.fps
     want, want_quat = reference.link_position[:frames], reference.link_quat[:frames]
-    device_cm, device_deg = terms.device_errors(position, quat, want, want_quat)
+    device_cm, device_deg = terms.device_errors(position, quat, want, want_quat, rollout.height_m)
     feet, soles = list(FOOT_LINKS), sole_spheres(rollout.height_m)
 
     def skate(at: np.ndarray, turned: np.ndarray, contact: np.ndarray) -> np.ndarray:
@@ -271,23 +270,8 @@ def _mean(values: np.ndarray) -> float | None:
 
 
 @lru_cache(maxsize=64)
-def sole_spheres(height_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """The spheres a foot stands on: centres ``(2, P, 3)`` in its frame and radii ``(2, P)``, in m.
-
-    They are the ends of the capsules with which the body's feet collide.
-    """
-    model = build_body(height_m).model
-    centres, radii = [], []
-    for foot in FEET:
-        body = model.body(foot).id
-        soles = np.flatnonzero(
-            (model.geom_bodyid == body)
-            & (model.geom_contype > 0)
-            & (model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE)
-        )
-        along = rot.quat_rotate(model.geom_quat[soles], np.array([0.0, 0.0, 1.0]))
-        half = along * model.geom_size[soles, 1:2]
-        ends = [model.geom_pos[soles] + half, model.geom_pos[soles] - half]
-        centres.append(np.concatenate(ends))
-        radii.append(np.tile(model.geom_size[soles, 0], 2))
-    return np.stack(centres), np.stack(radii)
+def sole_spheres(height_m: float) -> tuple[np.ndarray, float]:
+    """The spheres each foot stands on: centres ``(2, 4, 3)`` in its frame, and radius, in m."""
+    ratio = height_m / DEFAULT_HEIGHT_M
+    radius = float(build_body().model.geom("left_heel_ball_outer").size[0])
+    return (sole_points() + [0.0, 0.0, radius]) * ratio, radius * ratio

@@ -124,7 +124,11 @@ def mpjve_cm_s(position: np.ndarray, reference: np.ndarray, fps: float) -> np.nd
 
 
 def device_errors(
-    position: np.ndarray, quat: np.ndarray, reference: np.ndarray, reference_quat: np.ndarray
+    position: np.ndarray,
+    quat: np.ndarray,
+    reference: np.ndarray,
+    reference_quat: np.ndarray,
+    height_m: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Position error in cm ``(F,)`` and rotation error in degrees ``(F,)`` of the devices.
 
@@ -139,9 +143,10 @@ def device_errors(
         quat: ``(F, 16, 4)`` simulated link orientations.
         reference: ``(F, 16, 3)`` link origins of the clip.
         reference_quat: ``(F, 16, 4)`` link orientations of the clip.
+        height_m: stature in metres, which scales the devices' offsets.
     """
-    at, turned = sensors.device_poses(position, quat, DEVICES)
-    want_at, want_turned = sensors.device_poses(reference, reference_quat, DEVICES)
+    at, turned = sensors.device_poses(position, quat, DEVICES, height_m)
+    want_at, want_turned = sensors.device_poses(reference, reference_quat, DEVICES, height_m)
     apart = np.linalg.norm(at - want_at, axis=-1).mean(axis=-1) * _CM
     angle = np.degrees(rot.angle_between(turned, want_turned)).mean(axis=-1)
     return apart, angle
@@ -151,7 +156,7 @@ def foot_skate_cm_s(
     position: np.ndarray,
     quat: np.ndarray,
     contact: np.ndarray,
-    soles: tuple[np.ndarray, np.ndarray],
+    soles: tuple[np.ndarray, float],
     fps: float,
 ) -> np.ndarray:
     """Slip in cm/s ``(K,)``: one sample for each foot and pair of frames that both bear on it.
@@ -166,13 +171,13 @@ def foot_skate_cm_s(
         position: ``(F, 2, 3)`` origins of the feet.
         quat: ``(F, 2, 4)`` orientations of the feet.
         contact: ``(F, 2)`` bool, whether the foot bears on the floor.
-        soles: centres ``(2, P, 3)`` in the feet's frames and radii ``(2, P)`` of the spheres that
-            a foot stands on, in metres.
+        soles: centres ``(2, P, 3)`` in the feet's frames and radius of the spheres that a foot
+            stands on, in metres.
         fps: frames a second.
     """
-    centres, radii = soles
+    centres, radius = soles
     lowest = position[:, :, None] + rot.quat_rotate(quat[:, :, None], centres)
-    lowest[..., 2] -= radii
+    lowest[..., 2] -= radius
     before = lowest[:-1]
     turn = rot.quat_multiply(quat[1:], rot.quat_conjugate(quat[:-1]))
     arm = before - position[:-1, :, None]

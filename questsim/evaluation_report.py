@@ -1,0 +1,205 @@
+"""What an evaluation leaves behind: metrics.json, clips.csv, plots, and a table to read."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from questsim import plots
+from questsim.errors import InputError
+from questsim.metrics import METRICS, Rollout, evaluate, summarise
+
+FILES: tuple[str, ...] = (
+    "clips.csv",
+    "error_over_time.png",
+    "by_kind.png",
+    "contacts.png",
+    "error_histogram.png",
+    "metrics.json",
+)
+"""What ``write_report`` writes; metrics.json comes last and so marks a complete report."""
+
+LABELS: dict[str, str] = {
+    "clips": "clips",
+    "frames": "frames",
+    "success": "success (%)",
+    "mpjpe_cm": "MPJPE (cm)",
+    "mpjpe_root_aligned_cm": "MPJPE, root aligned (cm)",
+    "mpjre_deg": "MPJRE (deg)",
+    "root_cm": "root position (cm)",
+    "root_deg": "root orientation (deg)",
+    "sip_deg": "SIP (deg)",
+    "jitter_km_s3": "jitter (km/s³)",
+    "reference_jitter_km_s3": "  of the reference",
+    "mpjve_cm_s": "MPJVE (cm/s)",
+    "mhpe_cm": "MHPE, devices (cm)",
+    "mhre_deg": "MHRE, devices (deg)",
+    "foot_skate_cm_s": "foot skate (cm/s)",
+    "reference_foot_skate_cm_s": "  of the reference",
+    "penetration_cm": "penetration (cm)",
+    "real_time_factor": "real-time factor",
+}
+
+
+def check_writable(out: str | Path) -> None:
+    """Refuse a folder that a report could not be written to; creates nothing.
+
+    To be called before an evaluation starts. A folder that does not exist yet is judged by the
+    nearest one above it that does.
+
+    Raises:
+        InputError: a file is in the way, or writing is not allowed.
+    """
+    folder = Path(out)
+    fix = "choose another output folder"
+    try:
+        while not folder.exists() and folder != folder.parent:
+            folder = folder.parent
+        if not folder.is_dir():
+            raise InputError(f"{folder} is not a folder", out, fix)
+        # Asking for permissions would miss read-only file systems: only trying tells.
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"cannot write in {folder}: {reason}", out, fix) from error
+
+
+def write_report(
+    rollouts: Sequence[Rollout], out_dir: str | Path, context: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Write ``FILES`` into a folder, all of them or none; other files there are left alone.
+
+    Everything is made in a temporary folder inside ``out_dir`` and then moved into place.
+
+    Args:
+        rollouts: one a clip.
+        out_dir: created if missing.
+        context: what to record beside the figures: agent, motions, config, versions, hashes.
+
+    Returns:
+        What metrics.json holds, as ``metrics.evaluate`` gives it.
+
+    Raises:
+        InputError: no rollouts, or a folder that cannot be written.
+    """
+    check_writable(out_dir)
+    metrics = evaluate(rollouts, _plain(context or {}))
+    folder = Path(out_dir)
+    existed = folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    working = Path(tempfile.mkdtemp(prefix=".report-", dir=folder))
+    try:
+        _write_files(rollouts, metrics, working)
+        for name in FILES:
+            os.replace(working / name, folder / name)
+    except BaseException:
+        shutil.rmtree(folder if not existed else working, ignore_errors=True)
+        raise
+    working.rmdir()
+    return metrics
+
+
+def _write_files(rollouts: Sequence[Rollout], metrics: dict[str, Any], folder: Path) -> None:
+    (folder / "clips.csv").write_text(clips_csv(rollouts), encoding="utf-8")
+    plots.plot_error_over_time(rollouts, folder / "error_over_time.png")
+    plots.plot_by_kind(metrics, folder / "by_kind.png")
+    plots.plot_contacts(_longest_completed(rollouts), folder / "contacts.png")
+    plots.plot_error_histogram(rollouts, folder / "error_histogram.png")
+    text = json.dumps(metrics, indent=2, allow_nan=False, ensure_ascii=False)
+    (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
+
+
+def _longest_completed(rollouts: Sequence[Rollout]) -> Rollout:
+    """The clip whose foot contacts are drawn: of those completed, if any, the longest."""
+    return max(rollouts, key=lambda rollout: (rollout.completed, len(rollout)))
+
+
+def clips_csv(rollouts: Sequence[Rollout]) -> str:
+    """One line a clip: what it is, how far it came, and its own figures until the fall."""
+    text = io.StringIO()
+    figures = [*METRICS, "real_time_factor"]
+    about = ["name", "kind", "style", "height_m", "clip_frames", "frames", "completed"]
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*about, *figures])
+    for rollout in rollouts:
+        row = summarise([rollout])
+        writer.writerow(
+            [
+                rollout.name,
+                rollout.kind,
+                rollout.style,
+                f"{rollout.height_m:.4g}",
+                len(rollout.reference),
+                row["frames"],
+                int(rollout.completed),
+                *("" if row[name] is None else f"{row[name]:.6g}" for name in figures),
+            ]
+        )
+    return text.getvalue()
+
+
+def format_table(metrics: Mapping[str, Any], width: int = 100) -> str:
+    """The figures as text for a terminal: all and completed clips, then each kind of motion.
+
+    Args:
+        metrics: what ``metrics.evaluate`` or ``write_report`` returns.
+        width: columns of the terminal.
+    """
+    whole = Table(title="All clips until the fall, and those completed", title_justify="left")
+    whole.add_column("metric")
+    for column in ("all", "completed"):
+        whole.add_column(column, justify="right")
+    for name, label in LABELS.items():
+        whole.add_row(
+            label, *(_cell(name, metrics[column][name]) for column in ("all", "completed"))
+        )
+    chosen = ("clips", "success", "mpjpe_cm", "mpjre_deg", "root_cm", "sip_deg", "jitter_km_s3")
+    kinds = Table(title="By kind of motion, until the fall", title_justify="left")
+    kinds.add_column("kind")
+    for name in chosen:
+        kinds.add_column(LABELS[name], justify="right")
+    for kind, columns in metrics["by_kind"].items():
+        kinds.add_row(kind, *(_cell(name, columns["all"][name]) for name in chosen))
+    console = Console(file=io.StringIO(), width=width, color_system=None, markup=False)
+    console.print(whole)
+    console.print(kinds)
+    return console.file.getvalue().rstrip()  # type: ignore[attr-defined]
+
+
+def _cell(name: str, value: float | None) -> str:
+    """A figure as the table shows it; ``-`` where there was nothing to average."""
+    if value is None:
+        return "-"
+    if name in ("clips", "frames"):
+        return f"{value:d}"
+    return f"{100.0 * value:.1f}" if name == "success" else f"{value:.2f}"
+
+
+def _plain(value: Any) -> Any:
+    """The same as JSON knows it: dataclasses become mappings, paths text, arrays lists."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value if value is None or isinstance(value, (bool, int, float, str)) else str(value)
