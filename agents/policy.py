@@ -171,7 +171,7 @@ class TorquePolicy(ActorCriticPolicy):
         actor_columns = self.layout.columns(spec.actor_blocks)
         self.actor = Network(actor_columns, spec, actions, output_gain=0.01)
         self.critic = (
-            Network(self.layout.columns(spec.critic_blocks), spec, 1, output_gain=1.0)
+            Network(self.layout.columns(spec.critic_blocks), spec, 1, output_gain=0.01)
             if spec.critic_blocks
             else None
         )
