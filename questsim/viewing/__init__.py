@@ -1,0 +1,1 @@
+"""Pictures of clips and rollouts: off-screen rendering, contact sheets, videos."""

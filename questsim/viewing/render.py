@@ -1,0 +1,221 @@
+"""Off-screen pictures of one or several figures on a floor with a metre grid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from questsim.skeleton import NUM_DOFS
+from questsim.viewing.camera import FOVY_DEG, Camera
+from questsim.viewing.costume import AVATAR, DEVICE_SITES, Look, figure_spec
+from questsim.viewing.gl import use_gl
+
+_QPOS = 7 + NUM_DOFS
+_HORIZON = (0.90, 0.92, 0.945)
+_ZENITH = (0.70, 0.77, 0.86)
+_SUN_OFFSET = np.array([0.0, 0.0, 4.0])
+_MARKER_SIZES = {
+    "headset": (0.03, 0.085, 0.045),
+    "left_controller": (0.045, 0.025, 0.025),
+    "right_controller": (0.045, 0.025, 0.025),
+}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Somebody in the picture.
+
+    Attributes:
+        height_m: stature in metres.
+        look: colours.
+        devices: whether headset and controllers are worn.
+    """
+
+    height_m: float = 1.75
+    look: Look = AVATAR
+    devices: bool = True
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A box where a device is.
+
+    Attributes:
+        position: ``(3,)`` metres.
+        matrix: ``(3, 3)`` orientation.
+        size: ``(3,)`` half the edges, metres.
+    """
+
+    position: np.ndarray
+    matrix: np.ndarray
+    size: tuple[float, float, float]
+    rgba: tuple[float, float, float, float] = (0.10, 0.62, 0.95, 1.0)
+
+
+class SceneRenderer:
+    """Renders figures in given poses; a context manager that frees the OpenGL context.
+
+    Args:
+        figures: who is in the picture.
+        width, height: of the picture in pixels.
+
+    Raises:
+        NoGLError: there is no OpenGL library to render with.
+    """
+
+    def __init__(self, figures: Sequence[Figure], width: int = 640, height: int = 480) -> None:
+        use_gl()
+        self.width, self.height = width, height
+        self._model = scene_spec(figures, width, height).compile()
+        self._data = mujoco.MjData(self._model)
+        self._renderer = mujoco.Renderer(self._model, height, width, max_geom=500)
+        self._camera = mujoco.MjvCamera()
+
+    def __enter__(self) -> SceneRenderer:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._renderer.close()
+
+    def device_markers(self, pose: np.ndarray, figure: int, shift: np.ndarray) -> list[Marker]:
+        """Markers where a figure in a pose ``(40,)`` has its devices, moved by ``shift``."""
+        first = figure * _QPOS
+        self._data.qpos[first : first + _QPOS] = pose
+        mujoco.mj_kinematics(self._model, self._data)
+        markers = []
+        for name, size in _MARKER_SIZES.items():
+            site = self._data.site(f"{figure}/{name}")
+            markers.append(Marker(site.xpos + shift, site.xmat.reshape(3, 3).copy(), size))
+        return markers
+
+    def render(
+        self, poses: Sequence[np.ndarray], camera: Camera, markers: Sequence[Marker] = ()
+    ) -> np.ndarray:
+        """A picture ``(height, width, 3)`` uint8 of each figure in its pose ``(40,)``."""
+        self._data.qpos[:] = np.concatenate(poses)
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        view = self._camera
+        view.lookat[:] = camera.lookat
+        view.distance, view.azimuth = camera.distance, camera.azimuth_deg
+        view.elevation = camera.elevation_deg
+        self._renderer.update_scene(self._data, view)
+        scene = self._renderer.scene
+        scene.flags[mujoco.mjtRndFlag.mjRND_HAZE] = True
+        for light in scene.lights[: scene.nlight]:
+            light.pos = camera.lookat * [1, 1, 0] - 4.0 * np.array(light.dir)
+        for marker in markers:
+            _add_box(scene, marker)
+        return self._renderer.render()
+
+
+def scene_spec(figures: Sequence[Figure], width: int, height: int) -> mujoco.MjSpec:
+    """Floor, sky, light and the figures, named ``0/...``, ``1/...`` in the order given."""
+    spec = mujoco.MjSpec()
+    spec.stat.extent, spec.stat.center = 3.0, np.array([0.0, 0.0, 0.9])
+    visual = spec.visual
+    visual.global_.offwidth, visual.global_.offheight = width, height
+    visual.global_.fovy = FOVY_DEG
+    visual.quality.shadowsize, visual.quality.offsamples = 2048, 4
+    visual.map.znear, visual.map.zfar, visual.map.shadowclip = 0.05, 30.0, 1.0
+    visual.map.haze = 0.4
+    visual.rgba.haze[:] = (*_HORIZON, 1.0)
+    visual.headlight.ambient[:] = 0.42
+    visual.headlight.diffuse[:] = 0.22
+    visual.headlight.specular[:] = 0.0
+    _add_light(spec, "sun", (-0.35, 0.45, -1.0), 0.45, shadow=True)
+    _add_light(spec, "sky", (0.6, -0.5, -0.6), 0.12, shadow=False)
+    _add_sky_and_floor(spec)
+    for i, figure in enumerate(figures):
+        person = figure_spec(figure.height_m, figure.look, figure.devices)
+        # MuJoCo warns on stderr of every option in which a guest differs from its host.
+        spec.option.timestep, spec.option.integrator = (
+            person.option.timestep,
+            person.option.integrator,
+        )
+        spec.memory = person.memory
+        spec.attach(person, prefix=f"{i}/", frame=spec.worldbody.add_frame())
+    return spec
+
+
+def _add_light(
+    spec: mujoco.MjSpec, name: str, direction: tuple[float, ...], diffuse: float, shadow: bool
+) -> None:
+    spec.worldbody.add_light(
+        name=name,
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[0, 0, 4],
+        dir=np.array(direction) / np.linalg.norm(direction),
+        diffuse=[diffuse] * 3,
+        ambient=[0.0] * 3,
+        specular=[0.25 if shadow else 0.0] * 3,
+        castshadow=shadow,
+    )
+
+
+def _add_sky_and_floor(spec: mujoco.MjSpec) -> None:
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=_HORIZON,
+        rgb2=_ZENITH,
+        width=256,
+        height=256,
+    )
+    tile = metre_tile()
+    texture = spec.add_texture(
+        name="grid",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        width=tile.shape[1],
+        height=tile.shape[0],
+        nchannel=3,
+    )
+    texture.data = tile.tobytes()
+    material = spec.add_material(
+        name="grid", texuniform=True, texrepeat=[0.5, 0.5], specular=0.0, shininess=0.0
+    )
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "grid"
+    spec.worldbody.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0, 0, 1],
+        material="grid",
+        contype=0,
+        conaffinity=0,
+    )
+
+
+def metre_tile(pixels: int = 1024) -> np.ndarray:
+    """Two by two metres of floor ``(pixels, pixels, 3)`` uint8: checks, metre and 25 cm lines."""
+    x = (np.arange(pixels) + 0.5) * 2.0 / pixels
+    check = (np.floor(x)[:, None] + np.floor(x)[None]) % 2
+    tone = 205.0 + 14.0 * check
+
+    def lines(every: float, half_width: float) -> np.ndarray:
+        near = np.abs(x - np.round(x / every) * every) < half_width
+        return near[:, None] | near[None]
+
+    tone[lines(0.25, 0.003)] -= 12.0
+    tone[lines(1.0, 0.010)] = 150.0
+    return np.stack([tone * 0.97, tone * 0.985, tone], axis=-1).clip(0, 255).astype(np.uint8)
+
+
+def _add_box(scene: mujoco.MjvScene, marker: Marker) -> None:
+    geom = scene.geoms[scene.ngeom]
+    mujoco.mjv_initGeom(
+        geom,
+        mujoco.mjtGeom.mjGEOM_BOX,
+        np.array(marker.size, float),
+        marker.position,
+        marker.matrix.ravel(),
+        np.array(marker.rgba, np.float32),
+    )
+    scene.ngeom += 1
