@@ -1,0 +1,70 @@
+"""What an environment can be asked to be, in one dataclass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
+from questsim.errors import InputError
+from questsim.reward import RewardConfig
+from questsim.sensors import SensorNoise, sensor_set
+
+MAX_FUTURE_FRAMES = 6
+SAMPLING = ("uniform", "failure")
+
+
+@dataclass(frozen=True)
+class EnvConfig:
+    """An environment's options; the defaults are QuestSim's H+2C task.
+
+    Attributes:
+        sensors: name of a sensor set whose poses the policy sees.
+        future_frames: o_user holds this many frames from the next one on; with 0 it holds the
+            present frame alone (no latency).
+        heights: lowest and highest stature in metres, spread evenly over the environments; None
+            deals out the statures of the clips. A clip is scaled to its environment's body.
+        body_preset: ``"default"`` or ``"paper"``, see ``questsim.body``.
+        reward: weights and kernels.
+        privileged: append the coming full-body reference to the observation, for teachers.
+        privileged_frames: which frames ahead the privileged part shows.
+        fixed_start: for evaluation: environment i plays clip i from its first frame.
+        max_error_m: mean distance of the 16 links from the reference at which an episode ends.
+        self_collision: whether the avatar's links collide with each other.
+        sampling: ``"uniform"`` over frames, or ``"failure"``: clips and moments that end in
+            falls come more often.
+        noise: imperfections of the devices, drawn once for each clip.
+    """
+
+    sensors: str = "H+2C"
+    future_frames: int = 6
+    heights: tuple[float, float] | None = None
+    body_preset: str = "default"
+    reward: RewardConfig = field(default_factory=RewardConfig)
+    privileged: bool = False
+    privileged_frames: tuple[int, ...] = (1, 5)
+    fixed_start: bool = False
+    max_error_m: float = 0.5
+    self_collision: bool = False
+    sampling: str = "uniform"
+    noise: SensorNoise | None = None
+
+    def __post_init__(self) -> None:
+        sensor_set(self.sensors)
+        if not 0 <= self.future_frames <= MAX_FUTURE_FRAMES:
+            raise InputError(
+                f"future_frames is {self.future_frames}, not 0 to {MAX_FUTURE_FRAMES}", "EnvConfig"
+            )
+        if self.sampling not in SAMPLING:
+            raise InputError(f"sampling is {self.sampling!r}, not one of {SAMPLING}", "EnvConfig")
+        if self.heights is not None:
+            low, high = self.heights
+            if not MIN_HEIGHT_M <= low <= high <= MAX_HEIGHT_M:
+                raise InputError(
+                    f"heights {low:g}-{high:g} m are not within {MIN_HEIGHT_M}-{MAX_HEIGHT_M} m",
+                    "EnvConfig",
+                )
+
+    @property
+    def frame_offsets(self) -> tuple[int, ...]:
+        """Frames ahead of the present that o_user shows."""
+        return tuple(range(1, self.future_frames + 1)) or (0,)

@@ -1,0 +1,288 @@
+"""Many avatars, each asked to follow a clip, stepped together on MuJoCo's batch.
+
+Every face (gymnasium, vector, stable-baselines3, kinematic) is a thin layer over ``BatchSim``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco import batch as mujoco_batch
+
+from envs import kernels
+from envs.config import EnvConfig
+from envs.layout import observation_layout, observation_size
+from envs.reference import Reference
+from envs.sampler import Sampler
+from questsim.body import DEFAULT_HEIGHT_M, Body, build_body
+from questsim.errors import InputError
+from questsim.motion.clip import Clip
+from questsim.motion.kinematics import sole_positions
+from questsim.reward import TERMS
+from questsim.skeleton import FOOT_LINKS
+
+_CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL.value)
+# Counters of states that MuJoCo found not finite or too large, after which it reset itself.
+_UNSTABLE = [
+    int(mujoco.mjtWarning.mjWARN_BADQPOS),
+    int(mujoco.mjtWarning.mjWARN_BADQVEL),
+    int(mujoco.mjtWarning.mjWARN_BADQACC),
+]
+
+
+class BatchSim:
+    """A batch of avatars following clips at 36 Hz.
+
+    Args:
+        clips: the motions; an environment plays one from start to end, then draws another.
+        config: options of the task.
+        num_envs: simulations; None means one for each clip.
+        seed: of sampling and of the devices' noise.
+        num_threads: threads of physics and kernels; results do not depend on it.
+
+    Attributes:
+        layout: slices of an observation by name.
+        observation: ``(n, size)`` float32, of the present state.
+        reward: ``(n,)``; reward_terms: ``(n, 5)`` in the order of ``TERMS``.
+        error: ``(n,)`` mean distance of the links from the reference in metres.
+        fell, ended, unstable: ``(n,)`` bool of the last step: the error passed its limit (or
+            the physics failed), the clip ended, the physics was not finite.
+        clip, frame: ``(n,)`` the clip played and the row of the reference now.
+        unstable_count: resets for physics that was not finite, since the beginning.
+    """
+
+    def __init__(
+        self,
+        clips: Sequence[Clip],
+        config: EnvConfig | None = None,
+        num_envs: int | None = None,
+        seed: int = 0,
+        num_threads: int = 1,
+    ) -> None:
+        self.config = config or EnvConfig()
+        self.num_envs = n = num_envs or len(clips)
+        if self.config.fixed_start and n > len(clips):
+            raise InputError(f"{n} environments for {len(clips)} clips", "fixed_start")
+        self.reference = Reference.of(clips, self.config, seed)
+        self.layout = observation_layout(self.config)
+        self.heights = self._heights()
+        self._ratio = self.heights / DEFAULT_HEIGHT_M
+        self._build_batch(num_threads)
+        self._rng = np.random.default_rng(seed)
+        self._sampler = Sampler(self.reference, self.config.sampling == "failure")
+        self._all = np.arange(n)
+        self._floor = np.zeros(n)
+        self._user_offsets = np.array(self.config.frame_offsets)
+        self._privileged = np.array(
+            self.config.privileged_frames if self.config.privileged else (), dtype=np.int64
+        )
+        self._weights, self._kernels = self.config.reward.weights, self.config.reward.kernels
+        self.observation = np.zeros((n, observation_size(self.layout)), np.float32)
+        self.reward, self.reward_terms = np.zeros(n), np.zeros((n, len(TERMS)))
+        self.error = np.zeros(n)
+        self.fell, self.ended = np.zeros(n, bool), np.zeros(n, bool)
+        self.unstable = np.zeros(n, bool)
+        self.unstable_count = 0
+        self.clip, self.frame = np.zeros(n, np.int64), np.zeros(n, np.int64)
+        self._end, self._first = np.zeros(n, np.int64), np.zeros(n, np.int64)
+        self.contact_force = np.zeros((n, 2, 3))
+        self._previous_force = np.zeros((n, 2))
+
+    def _heights(self) -> np.ndarray:
+        """Stature in metres of each environment's body ``(n,)``."""
+        n, config = self.num_envs, self.config
+        if config.heights is not None:
+            return np.round(np.linspace(*config.heights, n), 2) if n > 1 else (
+                np.array([np.mean(config.heights)])
+            )
+        # Dealt out evenly over the clips, so that few environments still see all statures.
+        return self.reference.heights[np.arange(n) * len(self.reference.heights) // n]
+
+    def _build_batch(self, num_threads: int) -> None:
+        def build(height: float) -> Body:
+            return build_body(float(height), self.config.body_preset, self.config.self_collision)
+
+        self.body = build(DEFAULT_HEIGHT_M)
+        models = [build(height).model for height in self.heights]
+        self.substeps = self.body.substeps
+        self.batch = mujoco_batch.Batch(
+            models[0], self.num_envs, nthread=num_threads, persistent=True
+        )
+        self.batch.set_models(models)
+        self.torque_limits = np.stack([m.actuator_ctrlrange[:, 1] for m in models])
+        self._chunks = kernels.chunks(self.num_envs, num_threads)
+        self._pool = ThreadPoolExecutor(num_threads) if len(self._chunks) > 1 else None
+        bind = self.batch.bind
+        self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
+        self._xpos, self._xquat, self._cvel = bind("xpos"), bind("xquat"), bind("cvel")
+        self._com, self._sensors = bind("subtree_com"), bind("sensordata")
+
+    # -- what evaluation and rendering read ----------------------------------------------
+
+    @property
+    def link_positions(self) -> np.ndarray:
+        """``(n, 16, 3)`` world positions of the links in metres."""
+        return self._xpos[:, 1:]
+
+    @property
+    def link_quats(self) -> np.ndarray:
+        """``(n, 16, 4)`` world orientations of the links, wxyz."""
+        return self._xquat[:, 1:]
+
+    @property
+    def joint_angles(self) -> np.ndarray:
+        """``(n, 33)`` rad."""
+        return self.qpos[:, 7:]
+
+    @property
+    def foot_clearance(self) -> np.ndarray:
+        """``(n, 2)`` height in metres of each foot's lowest sole point above the floor."""
+        feet = list(FOOT_LINKS)
+        position, quat = self.link_positions[:, feet], self.link_quats[:, feet]
+        clearance = np.empty((self.num_envs, 2))
+        for height in np.unique(self.heights):
+            these = self.heights == height
+            soles = sole_positions(position[these], quat[these], float(height))
+            clearance[these] = soles[..., 2].min(axis=-1)
+        return clearance - self._floor[:, None]
+
+    # -- the environment ------------------------------------------------------------------
+
+    def reset(self, ids: np.ndarray | None = None, clip: int | None = None, frame: int = 0) -> None:
+        """Begin episodes in the simulations ``ids`` (all, if None).
+
+        Args:
+            ids: sorted simulation indices.
+            clip: play this clip from ``frame`` instead of drawing one.
+            frame: first frame within that clip.
+        """
+        ids = self._all if ids is None else ids
+        if clip is not None:
+            clips, first = np.full(len(ids), clip), np.full(len(ids), frame)
+        elif self.config.fixed_start:
+            clips, first = ids, np.zeros(len(ids), np.int64)
+        else:
+            clips, first = self._sampler.draw(len(ids), self._rng)
+        reference = self.reference
+        self.clip[ids], self._first[ids] = clips, first
+        self.frame[ids] = reference.start[clips] + first
+        self._end[ids] = reference.end[clips]
+        rows = self.frame[ids]
+        self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE.value))
+        self._pose(ids, rows)
+        self.batch.forward(ids, stage=_CURRENT)
+        self.contact_force[ids] = 0.0
+        self._previous_force[ids] = 0.0
+        self._observe(ids)
+
+    def _pose(self, ids: np.ndarray, rows: np.ndarray) -> None:
+        """Put simulations at rows of the reference, velocities included."""
+        scale = self._ratio[ids, None]
+        qpos = self.reference.qpos[rows].astype(float)
+        qvel = self.reference.qvel[rows].astype(float)
+        qpos[:, :3] *= scale
+        qvel[:, :3] *= scale
+        self.qpos[ids], self.qvel[ids] = qpos, qvel
+
+    def step(self, action: np.ndarray) -> None:
+        """Advance 1/36 s under torques ``action * torque_limits``, and score the new state.
+
+        Simulations that fell or ended stay where they are until ``reset``.
+
+        Args:
+            action: ``(n, 33)``, clipped to [-1, 1].
+        """
+        np.clip(action, -1.0, 1.0, out=self.ctrl)
+        self.ctrl *= self.torque_limits
+        self.batch.step(nstep=self.substeps, stage=_CURRENT)
+        self._after_step()
+
+    def show(self, pose: np.ndarray) -> None:
+        """Advance one frame kinematically: take poses ``(n, 40)`` as they are, without physics.
+
+        Velocities are the differences from the poses before, contact forces zero.
+        """
+        velocity = np.zeros(self.qvel.shape[1])
+        for i in range(self.num_envs):
+            model = self.batch.model
+            mujoco.mj_differentiatePos(model, velocity, 1.0 / 36.0, self.qpos[i].copy(), pose[i])
+            self.qvel[i] = velocity
+        self.qpos[:] = pose
+        self.batch.forward(stage=_CURRENT)
+        self._after_step(physics=False)
+
+    def _after_step(self, physics: bool = True) -> None:
+        self._previous_force[:] = self.contact_force[..., 2]
+        if physics:
+            # The sensor reports the force of each foot on the floor.
+            np.negative(self._sensors.reshape(-1, 2, 3), out=self.contact_force)
+        self.frame += 1
+        np.minimum(self.frame, self._end - 1, out=self.frame)
+        self._run(self._score_chunk, self._chunks)
+        self.unstable[:] = (self.batch.warning[:, _UNSTABLE, 1] > 0).any(axis=1)
+        self.unstable |= ~np.isfinite(self.error)
+        self.unstable_count += int(self.unstable.sum())
+        self.reward[self.unstable] = 0.0
+        np.logical_or(self.error > self.config.max_error_m, self.unstable, out=self.fell)
+        np.logical_and(self.frame >= self._end - 1, ~self.fell, out=self.ended)
+        self._observe(self._all)
+
+    def record_ended(self, ids: np.ndarray) -> None:
+        """Tell the sampler how the episodes of ``ids`` ended; call before their ``reset``."""
+        first = self._first[ids]
+        length = self.frame[ids] - self.reference.start[self.clip[ids]] - first
+        self._sampler.record(self.clip[ids], first, length, self.fell[ids])
+
+    def _run(self, work: Any, parts: list[tuple[int, int]], *arguments: Any) -> None:
+        if self._pool is None or len(parts) < 2:
+            for first, last in parts:
+                work(first, last, *arguments)
+        else:
+            done = [self._pool.submit(work, first, last, *arguments) for first, last in parts]
+            for future in done:
+                future.result()
+
+    def _score_chunk(self, first: int, last: int) -> None:
+        reference = self.reference
+        kernels.score(
+            first, last, self.qpos, self.qvel, self._xpos, self._cvel, self._com,
+            self.contact_force, self._previous_force, self.frame, self._ratio,
+            reference.qpos, reference.qvel, reference.position, reference.velocity,
+            self._kernels, self._weights, self.reward_terms, self.reward, self.error,
+        )  # fmt: skip
+
+    def _observe(self, ids: np.ndarray) -> None:
+        parts = self._chunks if len(ids) == self.num_envs else [(0, len(ids))]
+        self._run(self._observe_chunk, parts, ids)
+
+    def _observe_chunk(self, first: int, last: int, ids: np.ndarray) -> None:
+        reference = self.reference
+        kernels.observe(
+            first, last, ids, self.qpos, self.qvel, self._xpos, self._xquat, self._cvel,
+            self._com, self.contact_force, self.frame, self._end, self._ratio, self.heights,
+            reference.qpos, reference.qvel, reference.position, reference.quat,
+            reference.dev_position, reference.dev_quat,
+            self._user_offsets, self._privileged, self._floor, self.observation,
+        )  # fmt: skip
+
+    def seed(self, seed: int) -> None:
+        """Begin the stream of random clips and frames anew."""
+        self._rng = np.random.default_rng(seed)
+
+    def get_state(self) -> dict[str, Any]:
+        """Random and sampler state, for resuming a training."""
+        return {"rng": self._rng.bit_generator.state, "sampler": self._sampler.get_state()}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Take up what ``get_state`` gave."""
+        self._rng.bit_generator.state = state["rng"]
+        self._sampler.set_state(state["sampler"])
+
+    def close(self) -> None:
+        """Stop the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()

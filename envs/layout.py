@@ -1,0 +1,49 @@
+"""Where each part of an observation lies: QuestSim's 475 numbers by name."""
+
+from __future__ import annotations
+
+from envs.config import EnvConfig
+from questsim.sensors import sensor_set
+from questsim.skeleton import FEET, NUM_DOFS, NUM_LINKS
+
+POSE_SIZE = 9
+"""A device's position and the first two columns of its rotation matrix."""
+
+
+def observation_layout(config: EnvConfig) -> dict[str, slice]:
+    """Slices of an observation by name; ``"o_sim"``, ``"o_user"``, ``"o_scale"`` hold the rest.
+
+    All in the frame S: on the floor below the root, turned with its heading (QuestSim section
+    3). ``o_sim`` is 312 numbers, ``o_user`` frames x devices x (position 3, orientation 6),
+    ``o_scale`` the height. ``"privileged"``, if the config asks for it, follows; of its first
+    block ``"reference_joint_angles"`` is the next frame's 33 angles.
+    """
+    layout: dict[str, slice] = {}
+    at = 0
+    for name, size in (
+        ("joint_angles", NUM_DOFS),
+        ("joint_velocities", NUM_DOFS),
+        ("link_positions", 3 * NUM_LINKS),
+        ("link_orientations", 6 * NUM_LINKS),
+        ("link_linear_velocities", 3 * NUM_LINKS),
+        ("link_angular_velocities", 3 * NUM_LINKS),
+        ("contact_forces", 3 * len(FEET)),
+    ):
+        layout[name] = slice(at, at + size)
+        at += size
+    layout["o_sim"] = slice(0, at)
+    user = len(config.frame_offsets) * len(sensor_set(config.sensors)) * POSE_SIZE
+    layout["o_user"] = slice(at, at + user)
+    at += user
+    layout["o_scale"] = slice(at, at + 1)
+    at += 1
+    if config.privileged:
+        size = len(config.privileged_frames) * (2 * NUM_DOFS + 9 * NUM_LINKS)
+        layout["privileged"] = slice(at, at + size)
+        layout["reference_joint_angles"] = slice(at, at + NUM_DOFS)
+    return layout
+
+
+def observation_size(layout: dict[str, slice]) -> int:
+    """Length of an observation of that layout."""
+    return max(part.stop for part in layout.values())

@@ -1,0 +1,90 @@
+"""All reference clips as rows of flat arrays, as the compiled kernels read them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from envs.config import EnvConfig
+from questsim.body import DEFAULT_HEIGHT_M
+from questsim.errors import InputError
+from questsim.motion.clip import Clip
+from questsim.sensors import device_poses, sensor_set
+
+
+@dataclass(frozen=True)
+class Reference:
+    """``F`` frames of all clips, one clip after the other, on the 1.75 m body.
+
+    Attributes:
+        names, kinds: of each clip.
+        heights: ``(C,)`` stature in metres of each clip's own body.
+        start, end: ``(C,)`` first row of each clip, and one past its last.
+        qpos, qvel: ``(F, 40)``, ``(F, 39)``; position, quat, velocity: ``(F, 16, ...)``.
+        dev_position, dev_quat: ``(F, D, ...)`` poses of the devices the policy sees.
+    """
+
+    names: tuple[str, ...]
+    kinds: tuple[str, ...]
+    heights: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    qpos: np.ndarray
+    qvel: np.ndarray
+    position: np.ndarray
+    quat: np.ndarray
+    velocity: np.ndarray
+    dev_position: np.ndarray
+    dev_quat: np.ndarray
+
+    @staticmethod
+    def of(clips: Sequence[Clip], config: EnvConfig, seed: int) -> Reference:
+        """Pack clips, and the devices' signals with the config's noise, if any.
+
+        Raises:
+            InputError: there are no clips, or one is shorter than the future window.
+        """
+        if not clips:
+            raise InputError("there are no clips", "motions")
+        needed = max(config.future_frames, 1) + 1
+        for clip in clips:
+            if len(clip) < needed:
+                raise InputError(
+                    f"clip has {len(clip)} frames at 36 Hz, fewer than the {needed} that "
+                    f"{config.future_frames} future frames need",
+                    clip.name,
+                    "leave it out or lower future_frames",
+                )
+        ends = np.cumsum([len(clip) for clip in clips])
+        common = [clip.scaled(DEFAULT_HEIGHT_M) for clip in clips]
+        devices = [_devices(clip, config, seed, i) for i, clip in enumerate(common)]
+
+        def rows(arrays: Sequence[np.ndarray]) -> np.ndarray:
+            return np.concatenate(arrays).astype(np.float32)
+
+        return Reference(
+            names=tuple(clip.name for clip in clips),
+            kinds=tuple(clip.kind for clip in clips),
+            heights=np.array([clip.height_m for clip in clips]),
+            start=ends - [len(clip) for clip in clips],
+            end=ends,
+            qpos=rows([clip.qpos for clip in common]),
+            qvel=rows([clip.qvel for clip in common]),
+            position=rows([clip.link_position for clip in common]),
+            quat=rows([clip.link_quat for clip in common]),
+            velocity=rows([clip.link_velocity for clip in common]),
+            dev_position=rows([position for position, _ in devices]),
+            dev_quat=rows([quat for _, quat in devices]),
+        )
+
+
+def _devices(
+    clip: Clip, config: EnvConfig, seed: int, index: int
+) -> tuple[np.ndarray, np.ndarray]:
+    names = sensor_set(config.sensors)
+    position, quat = device_poses(clip.link_position, clip.link_quat, names, clip.height_m)
+    if config.noise is None:
+        return position, quat
+    return config.noise.apply(position, quat, np.random.default_rng([seed, index]))

@@ -1,0 +1,87 @@
+"""Where episodes begin: uniformly over frames, or more often where the policy falls."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from envs.reference import Reference
+
+BIN_FRAMES = 36
+"""Moments within a clip are told apart by the second."""
+HORIZON_FRAMES = 72
+"""A fall within this many frames counts against the moment the episode began."""
+SMOOTHING = 0.2
+WEIGHT_RANGE = (0.3, 3.0)
+"""Chances lie within these multiples of the mean: no clip is forgotten, none takes over."""
+
+
+class Sampler:
+    """Draws (clip, first frame) pairs; failure rates of clips and of their moments are learned.
+
+    Args:
+        reference: the clips.
+        weighted: whether falls raise a clip's and a moment's chance.
+        tail: frames at a clip's end in which no episode begins.
+    """
+
+    def __init__(self, reference: Reference, weighted: bool, tail: int = 2) -> None:
+        self._start = reference.start
+        self._starts_in_clip = np.maximum(reference.end - reference.start - tail, 1)
+        bins = -(-self._starts_in_clip // BIN_FRAMES)
+        self._first_bin = np.concatenate([[0], np.cumsum(bins)])
+        self._clip_of_bin = np.repeat(np.arange(len(bins)), bins)
+        offset = np.arange(self._first_bin[-1]) - self._first_bin[self._clip_of_bin]
+        self._bin_start = offset * BIN_FRAMES
+        left = self._starts_in_clip[self._clip_of_bin] - self._bin_start
+        self._bin_frames = np.minimum(left, BIN_FRAMES)
+        self._weighted = weighted
+        self.clip_failure = np.full(len(bins), 0.5)
+        self.bin_failure = np.full(len(self._clip_of_bin), 0.5)
+        self._cumulative: np.ndarray | None = None
+
+    def draw(self, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """``count`` clips and first frames within them, int64 ``(count,)`` each."""
+        if self._cumulative is None:
+            weights = self.weights()
+            self._cumulative = np.cumsum(weights / weights.sum())
+        pick = np.searchsorted(self._cumulative, rng.random(count), side="right")
+        pick = np.minimum(pick, len(self._cumulative) - 1)
+        within = (rng.random(count) * self._bin_frames[pick]).astype(np.int64)
+        return self._clip_of_bin[pick], self._bin_start[pick] + within
+
+    def weights(self) -> np.ndarray:
+        """Unnormalised chance of each bin: frames, times how often clip and moment fail."""
+        if not self._weighted:
+            return self._bin_frames.astype(float)
+        clip = _bounded(self.clip_failure)
+        return self._bin_frames * clip[self._clip_of_bin] * _bounded(self.bin_failure)
+
+    def record(
+        self, clips: np.ndarray, first: np.ndarray, length: np.ndarray, fell: np.ndarray
+    ) -> None:
+        """Learn from ended episodes: clip, first frame in it, frames played, whether it fell."""
+        if not self._weighted or len(clips) == 0:
+            return
+        soon = fell & (length <= HORIZON_FRAMES)
+        bins = self._first_bin[clips] + np.minimum(first, self._starts_in_clip[clips] - 1) // (
+            BIN_FRAMES
+        )
+        for clip, bin_, fall, fall_soon in zip(clips, bins, fell, soon, strict=True):
+            self.clip_failure[clip] += SMOOTHING * (fall - self.clip_failure[clip])
+            self.bin_failure[bin_] += SMOOTHING * (fall_soon - self.bin_failure[bin_])
+        self._cumulative = None
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Learned failure rates, to resume from."""
+        return {"clip_failure": self.clip_failure.copy(), "bin_failure": self.bin_failure.copy()}
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """Take up the rates of ``get_state``."""
+        self.clip_failure[:] = state["clip_failure"]
+        self.bin_failure[:] = state["bin_failure"]
+        self._cumulative = None
+
+
+def _bounded(failure: np.ndarray) -> np.ndarray:
+    mean = max(float(failure.mean()), 1e-6)
+    return np.clip(failure / mean, *WEIGHT_RANGE)

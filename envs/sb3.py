@@ -1,0 +1,143 @@
+"""stable-baselines3's face of the batch: no Python loop over environments."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
+
+from envs.config import EnvConfig
+from envs.core import BatchSim
+from envs.layout import observation_size
+from questsim.motion.clip import Clip
+from questsim.skeleton import NUM_DOFS
+
+
+class QuestVecEnv(VecEnv):
+    """The avatars of a ``BatchSim`` as a VecEnv; ended episodes begin anew by themselves.
+
+    ``infos[i]`` is empty but at an episode's end, when it holds ``terminal_observation``,
+    ``TimeLimit.truncated``, ``episode`` (``r``, ``l``, ``t``), ``clip``, ``kind`` and ``fell``.
+    The terms of every step's reward are in ``reward_terms`` ``(n, 5)``.
+
+    Args:
+        clips, config, num_envs, seed, num_threads: as of ``BatchSim``.
+    """
+
+    def __init__(
+        self,
+        clips: Sequence[Clip],
+        config: EnvConfig | None = None,
+        num_envs: int | None = None,
+        seed: int = 0,
+        num_threads: int = 1,
+    ) -> None:
+        self.render_mode = None
+        self.sim = BatchSim(clips, config, num_envs, seed, num_threads)
+        size = observation_size(self.sim.layout)
+        super().__init__(
+            self.sim.num_envs,
+            gym.spaces.Box(-np.inf, np.inf, (size,), np.float32),
+            gym.spaces.Box(-1.0, 1.0, (NUM_DOFS,), np.float32),
+        )
+        self._action = np.zeros((self.sim.num_envs, NUM_DOFS))
+        self._return = np.zeros(self.sim.num_envs)
+        self._length = np.zeros(self.sim.num_envs, np.int64)
+        self._began = time.perf_counter()
+
+    def __getattr__(self, name: str) -> Any:
+        """Everything else is the simulation's: layout, link_positions, reward_terms, ..."""
+        if name == "sim":
+            raise AttributeError(name)
+        return getattr(self.sim, name)
+
+    @property
+    def torque_limits(self) -> np.ndarray:
+        """``(33,)`` N m of the 1.75 m body."""
+        return self.sim.body.torque_limits
+
+    @property
+    def damping(self) -> np.ndarray:
+        """``(33,)`` N m s/rad of the 1.75 m body."""
+        return self.sim.body.damping
+
+    def reset(self) -> np.ndarray:
+        """Begin an episode in every environment; observations ``(n, size)``."""
+        for seed in self._seeds[:1]:
+            if seed is not None:
+                self.sim.seed(seed)
+        self._reset_seeds()
+        self.sim.reset()
+        self._return[:] = 0.0
+        self._length[:] = 0
+        return self.sim.observation.copy()
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Take the actions ``(n, 33)`` of the next step."""
+        self._action[:] = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step; see the class for what infos hold."""
+        sim = self.sim
+        sim.step(self._action)
+        self._return += sim.reward
+        self._length += 1
+        done = sim.fell | sim.ended
+        reward = sim.reward.astype(np.float32)
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        ids = np.flatnonzero(done)
+        if len(ids):
+            self._end_episodes(ids, infos)
+        return sim.observation.copy(), reward, done, infos
+
+    def _end_episodes(self, ids: np.ndarray, infos: list[dict[str, Any]]) -> None:
+        sim = self.sim
+        elapsed = round(time.perf_counter() - self._began, 6)
+        for i in ids:
+            clip = sim.clip[i]
+            infos[i] = {
+                "terminal_observation": sim.observation[i].copy(),
+                "TimeLimit.truncated": bool(sim.ended[i]),
+                "episode": {
+                    "r": float(self._return[i]),
+                    "l": int(self._length[i]),
+                    "t": elapsed,
+                },
+                "clip": sim.reference.names[clip],
+                "kind": sim.reference.kinds[clip],
+                "fell": bool(sim.fell[i]),
+            }
+        sim.record_ended(ids)
+        sim.reset(ids)
+        self._return[ids] = 0.0
+        self._length[ids] = 0
+
+    def close(self) -> None:
+        """Stop the simulation's threads."""
+        self.sim.close()
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """The attribute of the whole batch, once for each environment asked for."""
+        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute of the whole batch."""
+        setattr(self, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
+    ) -> list[Any]:
+        """Call a method of the whole batch once; its result for each environment asked for."""
+        result = getattr(self, method_name)(*args, **kwargs)
+        return [result for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None
+    ) -> list[bool]:
+        """Nothing wraps an environment inside the batch; VecMonitor is not needed."""
+        return [False for _ in self._get_indices(indices)]
