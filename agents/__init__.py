@@ -1,0 +1,1 @@
+"""Policies, their training and their evaluation."""

@@ -105,10 +105,16 @@ class TorqueHead(nn.Module):
     def __init__(self, gains: np.ndarray, layout: Layout, reference: bool) -> None:
         super().__init__()
         self.log_gain = nn.Parameter(torch.as_tensor(np.log(gains), dtype=torch.float32))
-        joints = torch.as_tensor(layout.columns((JOINT_BLOCK,)))
-        self.register_buffer("joint_columns", joints, persistent=False)
-        columns = torch.as_tensor(layout.columns((REFERENCE_BLOCK,))) if reference else None
-        self.register_buffer("reference_columns", columns, persistent=False)
+        self.reference = reference
+        self.register_buffer("joint_columns", None, persistent=False)
+        self.register_buffer("reference_columns", None, persistent=False)
+        self.use_layout(layout)
+
+    def use_layout(self, layout: Layout) -> None:
+        """Find the joint angles (and the reference's) in the observation."""
+        self.joint_columns = torch.as_tensor(layout.columns((JOINT_BLOCK,)))
+        if self.reference:
+            self.reference_columns = torch.as_tensor(layout.columns((REFERENCE_BLOCK,)))
 
     def forward(self, obs: Tensor) -> Tensor:
         """Proportional part of the action ``(n, 33)`` for observations ``(n, D)``."""
@@ -224,6 +230,17 @@ class TorquePolicy(ActorCriticPolicy):
         """Deterministic actions ``(n, 33)`` in [-1, 1] for observations ``(n, D)``."""
         with torch.inference_mode():
             return self.action_mean(torch.from_numpy(obs)).clamp_(-1.0, 1.0).numpy()
+
+    def use_layout(self, layout: Layout) -> None:
+        """Read the same blocks from an observation that has them in other columns."""
+        for module, blocks in (
+            (self.actor, self.spec.actor_blocks),
+            (self.critic, self.spec.critic_blocks),
+        ):
+            if module is not None:
+                module.columns = torch.as_tensor(layout.columns(blocks))
+        if self.head is not None:
+            self.head.use_layout(layout)
 
     # The rest is what stable-baselines3 calls.
 

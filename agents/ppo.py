@@ -8,11 +8,12 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor
 
 from agents.buffers import Minibatch, TensorRolloutBuffer
-from agents.errors import TrainingError
+from agents.learner import StepObserver, TrainingError
 from agents.policy import TorquePolicy
 
 LEARNING_RATE_RANGE = (1e-5, 3e-3)
@@ -56,6 +57,7 @@ class AdaptivePPO(PPO):
             **options,
         )
         self.actor_rate = float(self.lr_schedule(1))
+        self._observer: _Observer | None = None
         self.generator = torch.Generator().manual_seed(self.seed or 0)
 
     def collect_rollouts(  # type: ignore[override]
@@ -83,11 +85,12 @@ class AdaptivePPO(PPO):
             buffer.rewards[t] = torch.from_numpy(rewards)
             buffer.dones[t] = torch.from_numpy(dones)
             ended = np.flatnonzero(dones)
-            self._update_info_buffer([infos[i] for i in ended])
+            if self.ep_info_buffer is not None:
+                self._update_info_buffer([infos[i] for i in ended])
             for i in ended:
                 if infos[i].get("TimeLimit.truncated", False):
                     truncated.append((t, int(i), infos[i]["terminal_observation"]))
-            self._last_obs, self._last_episode_starts = new_obs, dones
+            self._last_obs, self._last_episode_starts = new_obs, dones  # type: ignore[assignment]
             self.num_timesteps += env.num_envs
             callback.update_locals(locals())
             if not callback.on_step():
@@ -187,6 +190,47 @@ class AdaptivePPO(PPO):
             clip_fraction = ((ratio - 1).abs() > clip).float().mean()
             return torch.stack((policy_loss, value_loss, kl, clip_fraction))
 
+    def iterate(self, observe: StepObserver, progress: float) -> dict[str, float]:
+        """One rollout and the update after it, outside of ``learn``.
+
+        Args:
+            observe: told of every environment step.
+            progress: share of the budget that is used; nothing depends on it here.
+
+        Returns:
+            Figures to log.
+        """
+        if self._observer is None:
+            self._logger = Logger(None, [])
+            self._observer = _Observer(observe)
+            self._observer.init_callback(self)
+        if self._last_obs is None:
+            self._last_obs = self.env.reset()  # type: ignore[union-attr]
+        self._observer.observe = observe
+        assert self.env is not None
+        self.collect_rollouts(self.env, self._observer, self.rollout_buffer, self.n_steps)
+        self.train()
+        return {k: float(v) for k, v in self.logger.name_to_value.items()}
+
+    def state_dict(self) -> dict[str, Any]:
+        """What going on needs, in plain values and tensors."""
+        return {
+            "steps": self.num_timesteps,
+            "policy": self.policy.state_dict(),
+            "optimizer": self.policy.optimizer.state_dict(),
+            "generator": self.generator.get_state(),
+            "actor_rate": self.actor_rate,
+            "updates": self._n_updates,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from ``state_dict``."""
+        self.num_timesteps, self._n_updates = state["steps"], state["updates"]
+        self.policy.load_state_dict(state["policy"])
+        self.policy.optimizer.load_state_dict(state["optimizer"])
+        self.generator.set_state(state["generator"])
+        self.actor_rate = state["actor_rate"]
+
     def _adapt_rate(self, kl: float) -> None:
         """Halve or double the learning rate when the update went too far or not far enough."""
         if self.desired_kl is None or self.actor_frozen:
@@ -200,6 +244,18 @@ class AdaptivePPO(PPO):
         elif kl < 0.75 * self.desired_kl:
             self.actor_rate *= 1.2
         self.actor_rate = float(np.clip(self.actor_rate, *LEARNING_RATE_RANGE))
+
+
+class _Observer(BaseCallback):
+    """Passes every environment step on; what a stable-baselines3 callback has to be for that."""
+
+    def __init__(self, observe: StepObserver) -> None:
+        super().__init__()
+        self.observe = observe
+
+    def _on_step(self) -> bool:
+        self.observe(self.locals["rewards"], self.locals["dones"], self.locals["infos"])
+        return True
 
 
 def _gaussian_kl(mean0: Tensor, log_std0: Tensor, mean1: Tensor, log_std1: Tensor) -> Tensor:
