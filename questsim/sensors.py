@@ -36,7 +36,7 @@ class Device:
 
 
 DEVICES: dict[str, Device] = {
-    "headset": Device("headset", "head", (0.12, 0.0, 0.17)),
+    "headset": Device("headset", "head", (0.12, 0.0, 0.19)),
     "left_controller": Device("controller", "left_hand", (0.0, 0.0, -0.08)),
     "right_controller": Device("controller", "right_hand", (0.0, 0.0, -0.08)),
     "pelvis_tracker": Device("tracker", "pelvis", (-0.09, 0.0, 0.08)),

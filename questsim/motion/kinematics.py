@@ -12,9 +12,9 @@ from questsim.body import DEFAULT_HEIGHT_M, build_body
 from questsim.motion.clip import FPS, Clip
 from questsim.skeleton import DOFS, FEET, LINK_PARENTS, LINKS, NUM_LINKS
 
-CONTACT_HEIGHT_M = 0.025
+CONTACT_HEIGHT_M = 0.03
 """A foot bears on the floor where a point of its sole is lower than this ..."""
-CONTACT_SPEED_M_S = 0.5
+CONTACT_SPEED_M_S = 0.8
 """... and slower than this; both for the default body, scaled with height."""
 
 

@@ -22,12 +22,14 @@ from questsim.motion.kinematics import (
     clip_from_qpos,
     clips_from_qpos,
     link_offsets,
+    link_poses,
     sole_points,
     sole_positions,
 )
 from questsim.motion.motion import Motion
 from questsim.skeleton import (
     DOFS,
+    FOOT_LINKS,
     JOINT_PARENTS,
     JOINTS,
     LINK_JOINTS,
@@ -77,14 +79,12 @@ def to_clip(motion: Motion) -> Clip:
     ankles = _sole_targets(motion, position, quat, height, root)
     feet = quat[:, [_joint(f"{side}_ankle") for side in SIDES]]
     root[:, 2] -= _place_on_floor(ankles, feet, height)
-    for index, side in enumerate(SIDES):
-        _leg(side, root, quat, ankles[:, index], height, angles)
+    for side in SIDES:
         _arm(side, motion, position, quat, links, height, angles)
-    limits = build_body().model.jnt_range[1:]
-    angles = np.clip(angles, limits[:, 0], limits[:, 1])
+    qpos = _feet_above_floor(root, quat, ankles, height, angles)
     return clip_from_qpos(
         motion.name,
-        np.concatenate([root, quat[:, 0], angles], axis=-1),
+        qpos,
         height,
         source=motion.source,
         source_sha256=motion.source_sha256,
@@ -92,6 +92,25 @@ def to_clip(motion: Motion) -> Clip:
         kind=motion.kind,
         style=motion.style,
     )
+
+
+def _feet_above_floor(
+    root: np.ndarray, quat: np.ndarray, ankles: np.ndarray, height: float, angles: np.ndarray
+) -> np.ndarray:
+    """Solve the legs, twice: what the ankle's hinges lack may press a sole into the floor."""
+    limits = build_body().model.jnt_range[1:]
+    feet = list(FOOT_LINKS)
+    for attempt in (1, 2):
+        for index, side in enumerate(SIDES):
+            _leg(side, root, quat, ankles[:, index], height, angles)
+        qpos = np.concatenate(
+            [root, quat[:, 0], np.clip(angles, limits[:, 0], limits[:, 1])], axis=-1
+        )
+        if attempt == 1:
+            link_position, link_quat = link_poses(qpos, height)
+            soles = sole_positions(link_position[:, feet], link_quat[:, feet], height)
+            ankles[..., 2] += np.maximum(-soles[..., 2].min(axis=-1), 0.0)
+    return qpos
 
 
 def mirror_clip(clip: Clip) -> Clip:
@@ -351,9 +370,9 @@ def _within_turn(values: np.ndarray, dofs: list[int]) -> np.ndarray:
 _EXTRA_JOINTS = {
     "left_toe": (0.13, 0.0, -0.05), "right_toe": (0.13, 0.0, -0.05),
     "spine3": (0.0, 0.0, 0.12), "head": (0.01, 0.0, 0.09),
-    "left_clavicle": (0.0, 0.03, 0.114), "right_clavicle": (0.0, -0.03, 0.114),
+    "left_clavicle": (0.0, 0.03, 0.085), "right_clavicle": (0.0, -0.03, 0.085),
 }  # fmt: skip
-_EXTRA_OF_LINK = {"neck": (0.0, 0.0, 0.15)}
+_EXTRA_OF_LINK = {"neck": (0.0, 0.0, 0.13)}
 _SHOULDER_OF_CLAVICLE = {"left_shoulder": (0.0, 0.15, 0.0), "right_shoulder": (0.0, -0.15, 0.0)}
 
 
