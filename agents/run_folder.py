@@ -1,0 +1,135 @@
+"""The folder of a training run and its record: config, seed, versions, data."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, is_dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from questsim.errors import InputError
+from questsim.motion.clip import Clip
+
+FORMAT, FORMAT_VERSION = "questsim-run", 1
+RECORD = "run.yaml"
+PACKAGES = ("mujoco", "numpy", "scipy", "torch", "stable-baselines3", "gymnasium")
+
+
+def data_record(spec: str, clips: Sequence[Clip]) -> dict[str, Any]:
+    """What a training learnt from: amount, licences and one hash over all clips."""
+    digest = hashlib.sha256()
+    for clip in sorted(clips, key=lambda clip: clip.name):
+        digest.update(f"{clip.name} {clip.source_sha256} {clip.height_m:.3f}".encode())
+        digest.update(clip.qpos.astype("<f4").tobytes())
+    return {
+        "motions": spec,
+        "clips": len(clips),
+        "seconds": round(sum(clip.duration for clip in clips), 1),
+        "licences": dict(Counter(clip.licence or "not stated" for clip in clips)),
+        "sha256": digest.hexdigest(),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Of Python, this package and what it computes with."""
+    found = {"python": platform.python_version()}
+    for package in ("questsim", *PACKAGES):
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def plain(value: Any) -> Any:
+    """The same value as YAML knows it: dataclasses become mappings, tuples lists."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def start_run(out: Path, args: Any, preset: Any, data: dict[str, Any]) -> None:
+    """Create the run folder with its record.
+
+    Raises:
+        InputError: if a run is there already, or the folder cannot be written.
+    """
+    refuse_existing(out)
+    record = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "args": plain(args),
+        "preset": plain(preset),
+        "data": data,
+        "versions": versions(),
+    }
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / RECORD).write_text(yaml.safe_dump(record, sort_keys=False), encoding="utf-8")
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(f"cannot be written ({reason})", out, "choose another --out") from error
+
+
+def refuse_existing(out: Path) -> None:
+    """Refuse to start a run where one is.
+
+    Raises:
+        InputError: if ``out`` holds a run, or is a file.
+    """
+    if (out / RECORD).exists():
+        raise InputError("holds a run already", out, "add --resume or choose another --out")
+    if out.exists() and not out.is_dir():
+        raise InputError("is a file", out, "choose another --out")
+
+
+def read_run(out: Path) -> dict[str, Any]:
+    """The record of an existing run.
+
+    Raises:
+        InputError: if there is none, or it is of another format version.
+    """
+    path = out / RECORD
+    try:
+        record = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError:
+        raise InputError("there is no run to resume", out, "leave out --resume") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError("is no run record", path) from error
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
+        raise InputError(f"is not of format {FORMAT!r}", path)
+    version = record.get("format_version")
+    if version != FORMAT_VERSION:
+        raise InputError(
+            f"format_version is {version!r}, this version reads {FORMAT_VERSION}",
+            path,
+            "start a new run",
+        )
+    return record
+
+
+def check_same_run(
+    record: dict[str, Any], args: Any, data: dict[str, Any], may_differ: set[str], out: Path
+) -> None:
+    """Refuse to resume a run with other options or other data.
+
+    Raises:
+        InputError: naming the option that differs.
+    """
+    for name, value in plain(args).items():
+        before = record["args"].get(name)
+        if name not in may_differ and value != before:
+            option = "--" + name.replace("_", "-")
+            raise InputError(f"{option} was {before}, not {value}", out / RECORD, "use it again")
+    if record["data"]["sha256"] != data["sha256"]:
+        raise InputError("the motions are not those it was started with", out / RECORD)

@@ -1,0 +1,301 @@
+"""Training from the command line: stages, budgets, resuming."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+
+from agents.agent import Needs, PolicyAgent, new_policy
+from agents.checkpoint import CARD_FILE, find_policy, load_policy
+from agents.dagger import Dagger, DaggerConfig
+from agents.learner import Learner
+from agents.monitor import Display
+from agents.policy import TorquePolicy
+from agents.ppo import AdaptivePPO
+from agents.presets import PRESETS, PPOConfig, Preset, StageConfig
+from agents.rolling import choose_clips, evaluation_sim, follow
+from agents.run_folder import check_same_run, data_record, read_run, refuse_existing, start_run
+from agents.spec import Layout, initial_gains, noise_by_joint
+from agents.stage import Budget, Stage, Stopper
+from envs import QuestVecEnv
+from envs.config import EnvConfig
+from questsim.errors import InputError
+from questsim.motion.clip import Clip
+from questsim.skeleton import DOFS
+
+INTERRUPTED = 130
+MAY_DIFFER_ON_RESUME = {"minutes", "steps", "resume", "stage", "threads", "out", "teacher"}
+
+
+@dataclass(frozen=True)
+class TrainArgs:
+    """Train a policy that drives the avatar by torques."""
+
+    out: Path
+    """Folder of the run: record, checkpoints, TensorBoard logs."""
+    motions: str = "synthetic"
+    """What to learn: synthetic, a dataset (bandai-namco-2:train), a library, file or folder."""
+    preset: Literal["cpu", "paper", "smoke"] = "cpu"
+    """What learns on two cores, what was published, or a test of two minutes."""
+    stage: Literal["all", "teacher", "student", "finetune", "ppo"] = "all"
+    """One stage alone, with the whole time for itself."""
+    minutes: float | None = None
+    """Time for everything, earlier parts of a resumed run included; by default the preset's."""
+    steps: int | None = None
+    """Environment steps of each stage, instead of the preset's limit."""
+    resume: bool = False
+    """Go on with the run in --out."""
+    teacher: Path | None = None
+    """A trained teacher for the student stage, by default the run's own."""
+    sensors: str = "H+2C"
+    """What the policy sees of the user."""
+    future_frames: int = 6
+    """How many frames ahead it sees the sensors (0 to 6)."""
+    heights: tuple[float, float] | None = None
+    """Statures in metres to train with, by default the motions' own."""
+    mirrored: bool = False
+    """Learn every clip mirrored as well."""
+    hold_out: str = ""
+    """Styles, joined by commas, that are not learnt from but evaluated on."""
+    envs: int | None = None
+    """Simulations in the batch, by default the preset's."""
+    threads: int = 2
+    """Threads of physics and networks."""
+    seed: int = 0
+    """Of everything that is random."""
+
+
+def train(args: TrainArgs) -> int:
+    """Run a training; returns the exit code.
+
+    Raises:
+        InputError: for options, motions or a run folder that cannot be used.
+    """
+    preset = PRESETS[args.preset]
+    names = _stage_names(args, preset)
+    if args.resume:
+        read_run(args.out)
+    else:
+        refuse_existing(args.out)
+    clips = load_clips(args)
+    data = data_record(args.motions, clips)
+    if args.resume:
+        check_same_run(read_run(args.out), args, data, MAY_DIFFER_ON_RESUME, args.out)
+    else:
+        start_run(args.out, args, preset, data)
+    torch.set_num_threads(args.threads)
+    stopper = Stopper()
+    with Display() as display, stopper.listening():
+        for name in names:
+            _run_stage(name, args, preset, clips, data, display, stopper)
+            if stopper.requested:
+                display.say(f"stopped; go on with --resume --out {args.out}")
+                return INTERRUPTED
+        display.say(f"trained: {find_policy(args.out)}")
+    return 0
+
+
+def load_clips(args: TrainArgs) -> list[Clip]:
+    """The clips of ``--motions``, on the data's own statures."""
+    from questsim.motion.spec import load_motions
+
+    return load_motions(args.motions, mirrored=args.mirrored, seed=args.seed)
+
+
+def _stage_names(args: TrainArgs, preset: Preset) -> list[str]:
+    if args.stage == "all":
+        return [name for name, stage in preset.stages.items() if stage.share > 0]
+    if args.stage not in preset.stages:
+        raise InputError(
+            f"preset {args.preset} has no stage {args.stage!r}",
+            "--stage",
+            f"it has {', '.join(preset.stages)}",
+        )
+    return [args.stage]
+
+
+def _run_stage(
+    name: str,
+    args: TrainArgs,
+    preset: Preset,
+    clips: Sequence[Clip],
+    data: dict[str, Any],
+    display: Display,
+    stopper: Stopper,
+) -> None:
+    config = preset.stages[name]
+    env_config = EnvConfig(
+        sensors=args.sensors,
+        future_frames=args.future_frames,
+        heights=args.heights,
+        body_preset=preset.body_preset,
+        reward=config.reward,
+        privileged=config.privileged,
+        sampling=config.sampling,
+    )
+    learnt, validation = split_validation(clips, args.hold_out, preset.validation_clips)
+    # Each stage has its own stream of random numbers, whether it runs alone or after another.
+    seed = args.seed + 1000 * list(preset.stages).index(name)
+    torch.manual_seed(seed)
+    env = QuestVecEnv(learnt, env_config, args.envs or preset.num_envs, seed, args.threads)
+    try:
+        learner = _learner(name, args, config, env, seed)
+        needs = Needs(
+            sensors=args.sensors,
+            future_frames=args.future_frames,
+            privileged="privileged" in config.policy.actor_blocks,
+            body_preset=preset.body_preset,
+        )
+        sim = evaluation_sim(validation, replace(env_config, fixed_start=True), args.threads)
+
+        def validate(agent: PolicyAgent) -> Any:
+            agent.bind(sim)
+            return follow(agent, sim, validation)
+
+        stage = Stage(
+            name=name,
+            learner=learner,
+            env=env,
+            needs=needs,
+            folder=args.out / name,
+            budget=_budget(name, args, preset),
+            validate=validate,
+            evaluate_every=config.evaluate_every,
+            record={"preset": args.preset, "seed": args.seed, "threads": args.threads, **data},
+            must_improve=name == "finetune",
+            before_iteration=_schedule(config, learner),
+        )
+        if args.resume and (stage.folder / "last" / CARD_FILE).exists():
+            stage.resume()
+        stage.run(display, stopper)
+        sim.close()
+    finally:
+        env.close()
+
+
+def split_validation(
+    clips: Sequence[Clip], hold_out: str, count: int
+) -> tuple[list[Clip], list[Clip]]:
+    """Clips to learn from, and the fixed set on which checkpoints are compared.
+
+    Args:
+        clips: all.
+        hold_out: styles that are only evaluated on; without any, the fixed set is a part of
+            what is learnt.
+        count: size of the fixed set.
+
+    Raises:
+        InputError: if there is no such style, or nothing is left to learn.
+    """
+    styles = {style.strip() for style in hold_out.split(",") if style.strip()}
+    unknown = styles - {clip.style for clip in clips}
+    if unknown:
+        raise InputError(f"no clip has style {sorted(unknown)[0]!r}", "--hold-out")
+    learnt = [clip for clip in clips if clip.style not in styles]
+    if not learnt:
+        raise InputError("nothing is left to learn", "--hold-out")
+    held = [clip for clip in clips if clip.style in styles]
+    return learnt, choose_clips(held or learnt, count)
+
+
+def _budget(name: str, args: TrainArgs, preset: Preset) -> Budget:
+    config = preset.stages[name]
+    minutes = preset.minutes if args.minutes is None else args.minutes
+    if args.steps is not None and args.minutes is None:
+        minutes = None
+    share = 1.0 if args.stage != "all" else config.share
+    seconds = None if minutes is None else 60.0 * minutes * share
+    return Budget(seconds, config.steps if args.steps is None else args.steps)
+
+
+def _schedule(config: StageConfig, learner: Learner) -> Any:
+    """Keeps the actor fixed while a new critic learns what it is worth."""
+    if not isinstance(learner, AdaptivePPO) or not isinstance(config.learning, PPOConfig):
+        return None
+    warmup = config.learning.critic_warmup_steps
+
+    def freeze(ppo: AdaptivePPO, steps: int) -> None:
+        ppo.actor_frozen = steps < warmup
+
+    return partial(freeze, learner) if warmup else None
+
+
+def _learner(
+    name: str, args: TrainArgs, config: StageConfig, env: QuestVecEnv, seed: int
+) -> Learner:
+    if isinstance(config.learning, DaggerConfig):
+        return _student(args, config, config.learning, env, seed)
+    learner = make_ppo(config, config.learning, env, seed)
+    if name == "finetune":
+        start = load_policy(find_policy(args.out / "student"))
+        start.bind(env)
+        copy_actor(start.policy, learner.policy)
+        noise = noise_by_joint(
+            DOFS, config.learning.noise_legs_and_trunk, config.learning.noise_arms_and_neck
+        )
+        learner.policy.log_std.data.copy_(torch.as_tensor(np.log(noise)))
+    return learner
+
+
+def make_ppo(config: StageConfig, ppo: PPOConfig, env: QuestVecEnv, seed: int) -> AdaptivePPO:
+    """PPO with a fresh policy for ``env``."""
+    noise = noise_by_joint(DOFS, ppo.noise_legs_and_trunk, ppo.noise_arms_and_neck)
+    return AdaptivePPO(
+        TorquePolicy,
+        env,
+        desired_kl=ppo.desired_kl,
+        reward_scale=ppo.reward_scale,
+        learning_rate=ppo.learning_rate,
+        n_steps=ppo.rollout_steps,
+        batch_size=ppo.minibatch,
+        n_epochs=ppo.epochs,
+        gamma=ppo.gamma,
+        gae_lambda=ppo.gae_lambda,
+        clip_range=ppo.clip,
+        vf_coef=1.0,
+        max_grad_norm=ppo.max_grad_norm,
+        seed=seed,
+        policy_kwargs={
+            "spec": config.policy,
+            "layout": Layout.of(env.layout),
+            "gains": initial_gains(env.torque_limits, env.damping),
+            "noise": noise,
+            "learn_noise": ppo.learn_noise,
+            "critic_learning_rate": ppo.critic_learning_rate,
+        },
+    )
+
+
+def _student(
+    args: TrainArgs, config: StageConfig, learning: DaggerConfig, env: QuestVecEnv, seed: int
+) -> Dagger:
+    where = args.teacher or args.out / "teacher"
+    teacher = load_policy(find_policy(where))
+    if not teacher.needs.privileged:
+        raise InputError("is no teacher: it does not read the reference", where, "use --teacher")
+    teacher.bind(env)
+    sparse = Layout.of(env.layout).within(config.policy.actor_blocks)
+    student = new_policy(config.policy, sparse, learning.learning_rate)
+    if student.head is not None and teacher.policy.head is not None:
+        # The stiffness that the teacher found is a good start for what imitates it.
+        student.head.load_state_dict(teacher.policy.head.state_dict())
+    student.log_std.data.copy_(teacher.policy.log_std.data)
+    return Dagger(env, teacher, student, learning, seed)
+
+
+def copy_actor(source: TorquePolicy, target: TorquePolicy) -> None:
+    """Give ``target`` the networks, normaliser and gains of a policy without critic.
+
+    Raises:
+        InputError: if their networks differ.
+    """
+    state = {k: v for k, v in source.state_dict().items() if not k.startswith("critic.")}
+    missing, unexpected = target.load_state_dict(state, strict=False)
+    if unexpected or any(not name.startswith("critic.") for name in missing):
+        raise InputError("the student has other networks than this preset", "--preset")
