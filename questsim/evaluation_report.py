@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import json
@@ -38,8 +39,8 @@ LABELS: dict[str, str] = {
     "mpjpe_cm": "MPJPE (cm)",
     "mpjpe_root_aligned_cm": "MPJPE, root aligned (cm)",
     "mpjre_deg": "MPJRE (deg)",
-    "root_cm": "root position (cm)",
-    "root_deg": "root orientation (deg)",
+    "root_cm": "root (cm)",
+    "root_deg": "root (deg)",
     "sip_deg": "SIP (deg)",
     "jitter_km_s3": "jitter (km/s³)",
     "reference_jitter_km_s3": "  of the reference",
@@ -52,39 +53,55 @@ LABELS: dict[str, str] = {
     "real_time_factor": "real-time factor",
 }
 
+BY_KIND = ("clips", "success", "mpjpe_cm", "mpjre_deg", "root_cm", "sip_deg", "jitter_km_s3")
+"""Which figures the table shows of each kind of motion; metrics.json has them all."""
+
 
 def check_writable(out: str | Path) -> None:
-    """Refuse a folder that a report could not be written to; creates nothing.
+    """Refuse a folder that a report could not be written to; leaves nothing behind.
 
-    To be called before an evaluation starts. A folder that does not exist yet is judged by the
-    nearest one above it that does.
+    To be called before an evaluation starts.
 
     Raises:
         InputError: a file is in the way, or writing is not allowed.
     """
-    folder = Path(out)
-    fix = "choose another output folder"
+    created: list[Path] = []
+    # Asking for permissions would miss read-only file systems and bad names: only trying tells.
     try:
-        while not folder.exists() and folder != folder.parent:
-            folder = folder.parent
-        if not folder.is_dir():
-            raise InputError(f"{folder} is not a folder", out, fix)
-        # Asking for permissions would miss read-only file systems: only trying tells.
-        with tempfile.TemporaryFile(dir=folder):
+        _make_folder(Path(out), created)
+        with tempfile.TemporaryFile(dir=out):
             pass
     except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot write in {folder}: {reason}", out, fix) from error
+        blocked = isinstance(error, FileExistsError | NotADirectoryError)
+        reason = "a file is in the way" if blocked else getattr(error, "strerror", None) or error
+        fix = "choose another output folder"
+        raise InputError(f"cannot be written: {reason}", out, fix) from error
+    finally:
+        _remove_empty(created)
+
+
+def _make_folder(folder: Path, created: list[Path]) -> None:
+    """Make a folder and those above it, noting each new one in ``created``, topmost first."""
+    missing = [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
+    for path in reversed(missing):
+        path.mkdir()
+        created.append(path)
+    folder.mkdir(exist_ok=True)
+
+
+def _remove_empty(created: Sequence[Path]) -> None:
+    for path in reversed(created):
+        with contextlib.suppress(OSError):
+            path.rmdir()
 
 
 def write_report(
     rollouts: Sequence[Rollout], out_dir: str | Path, context: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """Write ``FILES`` into a folder, all of them or none; other files there are left alone.
+    """Write ``FILES`` into a folder; other files there are left alone.
 
-    Everything is made in a temporary folder inside ``out_dir`` and then moved into place.
+    Everything is made in a temporary folder inside ``out_dir`` and moved into place once all of
+    it is there, so a failure leaves an older report as it was.
 
     Args:
         rollouts: one a clip.
@@ -99,18 +116,17 @@ def write_report(
     """
     check_writable(out_dir)
     metrics = evaluate(rollouts, _plain(context or {}))
-    folder = Path(out_dir)
-    existed = folder.exists()
-    folder.mkdir(parents=True, exist_ok=True)
+    folder, created = Path(out_dir), []
+    _make_folder(folder, created)
     working = Path(tempfile.mkdtemp(prefix=".report-", dir=folder))
     try:
         _write_files(rollouts, metrics, working)
         for name in FILES:
             os.replace(working / name, folder / name)
-    except BaseException:
-        shutil.rmtree(folder if not existed else working, ignore_errors=True)
-        raise
-    working.rmdir()
+        created.clear()
+    finally:
+        shutil.rmtree(working, ignore_errors=True)
+        _remove_empty(created)
     return metrics
 
 
@@ -168,17 +184,17 @@ def format_table(metrics: Mapping[str, Any], width: int = 100) -> str:
         whole.add_row(
             label, *(_cell(name, metrics[column][name]) for column in ("all", "completed"))
         )
-    chosen = ("clips", "success", "mpjpe_cm", "mpjre_deg", "root_cm", "sip_deg", "jitter_km_s3")
-    kinds = Table(title="By kind of motion, until the fall", title_justify="left")
-    kinds.add_column("kind")
-    for name in chosen:
-        kinds.add_column(LABELS[name], justify="right")
+    kinds = Table(title="By kind of motion, all clips until the fall", title_justify="left")
+    kinds.add_column("kind", no_wrap=True)
+    for name in BY_KIND:
+        kinds.add_column(LABELS[name].replace(" (", "\n("), justify="right")
     for kind, columns in metrics["by_kind"].items():
-        kinds.add_row(kind, *(_cell(name, columns["all"][name]) for name in chosen))
+        kinds.add_row(kind, *(_cell(name, columns["all"][name]) for name in BY_KIND))
     console = Console(file=io.StringIO(), width=width, color_system=None, markup=False)
     console.print(whole)
     console.print(kinds)
-    return console.file.getvalue().rstrip()  # type: ignore[attr-defined]
+    lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    return "\n".join(line.rstrip() for line in lines)
 
 
 def _cell(name: str, value: float | None) -> str:

@@ -274,4 +274,4 @@ def sole_spheres(height_m: float) -> tuple[np.ndarray, float]:
     """The spheres each foot stands on: centres ``(2, 4, 3)`` in its frame, and radius, in m."""
     ratio = height_m / DEFAULT_HEIGHT_M
     radius = float(build_body().model.geom("left_heel_ball_outer").size[0])
-    return (sole_points() + [0.0, 0.0, radius]) * ratio, radius * ratio
+    return (sole_points() + np.array([0.0, 0.0, radius])) * ratio, radius * ratio

@@ -6,6 +6,7 @@ Each function draws one file and leaves no figure open. The colours are those of
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,8 +17,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import EngFormatter, MaxNLocator
 
+from questsim.errors import InputError
 from questsim.metrics import MAX_LINK_ERROR_M, Rollout
 from questsim.skeleton import FEET
 
@@ -74,7 +76,7 @@ def _by_kind(rollouts: Sequence[Rollout]) -> dict[str, list[Rollout]]:
 def plot_error_over_time(rollouts: Sequence[Rollout], path: Path) -> None:
     """Mean link error against time, one panel for each kind of motion.
 
-    A thin line is a clip, a cross where it was lost; the thick one is the mean of those still up.
+    A thin line is a clip, a cross where it was lost; the thick one is the median of those still up.
     At most 24 kinds are shown, those with the most clips.
     """
     kinds = _by_kind(rollouts)
@@ -86,7 +88,14 @@ def plot_error_over_time(rollouts: Sequence[Rollout], path: Path) -> None:
         for axis, kind in zip(axes, shown, strict=True):
             _draw_errors(axis, kinds[kind])
             lost = sum(not rollout.completed for rollout in kinds[kind])
-            axis.set_title(f"{kind}: {len(kinds[kind])} clips" + (f", {lost} lost" if lost else ""))
+            clips = f"{len(kinds[kind])} clip" + "s" * (len(kinds[kind]) > 1)
+            axis.set_title(f"{kind}: {clips}" + (f", {lost} lost" if lost else ""))
+        worst = max(
+            float(rollout.link_error_m[: rollout.scored_frames].max(initial=0.0))
+            for rollout in rollouts
+        )
+        axes[0].set(ylim=(0.0, max(107.0 * worst, 1.0)))
+        axes[0].set_xlim(left=0.0)
         left_out = f" ({len(shown)} of {len(kinds)} kinds)" if len(shown) < len(kinds) else ""
         figure.supxlabel(f"Time (s){left_out}", fontsize=9)
         figure.supylabel("Mean link error (cm)", fontsize=9)
@@ -102,11 +111,10 @@ def _draw_errors(axis: Axes, rollouts: Sequence[Rollout]) -> None:
         axis.plot(times, curve[:frames], color=BLUE, alpha=0.3, linewidth=0.7)
         if not rollout.completed and frames:
             axis.plot(times[-1], curve[frames - 1], "x", color=VERMILLION, markersize=6, zorder=3)
-    up = np.isfinite(curves)
-    alive = up.any(axis=0)
-    mean = np.where(up, curves, 0.0).sum(axis=0)[alive] / up.sum(axis=0)[alive]
-    axis.plot(np.flatnonzero(alive) / rollouts[0].fps, mean, color=BLUE, linewidth=2.0)
-    axis.set_ylim(bottom=0.0)
+    # The median: a mean would jump down whenever a clip that is being lost leaves it.
+    alive = np.isfinite(curves).any(axis=0)
+    times = np.flatnonzero(alive) / rollouts[0].fps
+    axis.plot(times, np.nanmedian(curves[:, alive], axis=0), color=BLUE, linewidth=2.0)
 
 
 def plot_by_kind(metrics: Mapping[str, Any], path: Path) -> None:
@@ -165,9 +173,10 @@ def plot_contacts(rollout: Rollout, path: Path) -> None:
 
 def plot_error_histogram(rollouts: Sequence[Rollout], path: Path) -> None:
     """How many clips have which mean link error until their fall."""
-    error = np.array([100.0 * r.link_error_m[: r.scored_frames].mean() for r in rollouts if len(r)])
-    completed = np.array([rollout.completed for rollout in rollouts])
-    top = max(float(np.nanmax(error, initial=0.0)), 1.0)
+    rollouts = [rollout for rollout in rollouts if rollout.scored_frames]
+    error = np.array([100.0 * r.link_error_m[: r.scored_frames].mean() for r in rollouts])
+    completed = np.array([rollout.completed for rollout in rollouts], bool)
+    top = max(float(error.max(initial=0.0)), 1.0)
     bins = np.linspace(0.0, min(1.02 * top, 100.0 * MAX_LINK_ERROR_M), 31)
     with _figure(path, 6.0, 3.0) as figure:
         axis = figure.subplots()
@@ -185,31 +194,68 @@ def plot_error_histogram(rollouts: Sequence[Rollout], path: Path) -> None:
         axis.legend()
 
 
+def training_rows(source: str | Path, x: str = "steps") -> list[dict[str, float]]:
+    """The logged values of a training run, for ``plot_training``.
+
+    Args:
+        source: a CSV file with a header line, or a folder of TensorBoard event files.
+        x: the name under which the rows from TensorBoard carry the step.
+
+    Raises:
+        InputError: nothing was logged there.
+    """
+    source = Path(source)
+    if source.is_file():
+        with source.open(newline="", encoding="utf-8") as file:
+            lines = list(csv.DictReader(file))
+        rows = [{name: float(text) for name, text in line.items() if text} for line in lines]
+    else:
+        rows = _tensorboard_rows(source, x)
+    if not rows:
+        raise InputError("holds no logged training values", source)
+    return rows
+
+
+def _tensorboard_rows(folder: Path, x: str) -> list[dict[str, float]]:
+    # Imported here, since it takes a second and only this function wants it.
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    rows: dict[int, dict[str, float]] = {}
+    for directory in sorted({file.parent for file in folder.rglob("events.out.tfevents.*")}):
+        events = EventAccumulator(str(directory), size_guidance={"scalars": 0})
+        events.Reload()
+        for tag in events.Tags()["scalars"]:
+            for event in events.Scalars(tag):
+                rows.setdefault(event.step, {x: float(event.step)})[tag] = float(event.value)
+    return [rows[step] for step in sorted(rows)]
+
+
 def plot_training(
     rows: Sequence[Mapping[str, float]], path: Path, x: str = "steps", smooth: int = 1
 ) -> None:
     """Training curves, one panel for each column but ``x``.
 
     Args:
-        rows: one mapping a logged step; a column may be missing from some.
+        rows: one mapping a logged step, as of ``training_rows``; columns may be missing from some.
         path: the PNG to write.
         x: column of the horizontal axis.
         smooth: rows of the running mean; raw values show pale behind it if above 1.
     """
     columns = sorted({name for row in rows for name in row} - {x})
     if not columns:
-        raise ValueError(f"rows have no column beside {x!r}")
+        raise InputError(f"training rows have no column beside {x!r}")
     across = min(len(columns), 3)
     with _figure(path, max(3.0 * across, 4.5), 2.0 * -(-len(columns) // across) + 0.4) as figure:
         axes = _panels(figure, len(columns), across, sharex=True)
         for axis, name in zip(axes, columns, strict=True):
             points = [(row[x], row[name]) for row in rows if name in row and x in row]
             at, value = np.array(points, float).T
-            width = min(smooth, len(value))
+            width = min(smooth, max(len(value) // 4, 1))
             if width > 1:
                 axis.plot(at, value, color=BLUE, alpha=0.25, linewidth=0.8)
                 kernel = np.ones(width) / width
                 at, value = at[width - 1 :], np.convolve(value, kernel, mode="valid")
             axis.plot(at, value, color=BLUE, linewidth=1.5)
             axis.set_title(name)
+            axis.xaxis.set_major_formatter(EngFormatter(sep=""))
         figure.supxlabel(x.capitalize(), fontsize=9)
