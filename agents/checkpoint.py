@@ -29,13 +29,13 @@ FORMAT, FORMAT_VERSION = "questsim-policy", 1
 WEIGHTS_FILE, CARD_FILE, RESUME_FILE = "policy.safetensors", "policy.yaml", "resume.pt"
 SHIPPED = Path(__file__).parent / "weights"
 
-RUN_POLICIES = tuple(
+RUN_POLICIES = ("best", "last") + tuple(
     f"{stage}/{which}"
     for stage in ("finetune", "student", "ppo", "teacher")
     for which in ("best", "last")
     if (stage, which) != ("finetune", "last")  # only a fine-tuning that helped is a result
 )
-"""Where a run keeps its result, best first."""
+"""Where a stage and a run keep their result, best first."""
 
 
 def save_policy(
@@ -165,7 +165,7 @@ def load_policy(folder: Path) -> PolicyAgent:
 
 
 def find_policy(path_or_name: str | Path) -> Path:
-    """The checkpoint folder that a path, run folder or shipped name means.
+    """The checkpoint folder that a path, stage or run folder, or shipped name means.
 
     Raises:
         InputError: if there is none; it lists the shipped names.
