@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
+from questsim import rotations as rot
+from questsim.errors import InputError
 from questsim.motion.motion import Motion, rest_height
 from questsim.skeleton import JOINTS
 
+MIN_STATURE_M, MAX_STATURE_M = 1.2, 2.2
 LEG_FRACTION = 0.530 - 0.039
 ANKLE_TO_HEAD_FRACTION = 0.870 - 0.039
 """Segment lengths as fractions of stature: hip 0.530, ankle 0.039, base of the head 0.870.
@@ -14,6 +19,72 @@ ANKLE_TO_HEAD_FRACTION = 0.870 - 0.039
 Source: Drillis and Contini 1966, as drawn in Winter, "Biomechanics and Motor Control of Human
 Movement", 4th ed. 2009, figure 4.1.
 """
+
+SEGMENTS: tuple[tuple[str, str, float, float], ...] = (
+    ("neck", "head", 0.081, 1.0),
+    ("root", "neck", 0.497, 0.5),
+    *(
+        (f"{side}_{near}", f"{side}_{far}", mass, centre)
+        for side in ("left", "right")
+        for near, far, mass, centre in (
+            ("shoulder", "elbow", 0.028, 0.436),
+            ("elbow", "wrist", 0.022, 0.682),
+            ("hip", "knee", 0.100, 0.433),
+            ("knee", "ankle", 0.0465, 0.433),
+            ("ankle", "toe", 0.0145, 0.5),
+        )
+    ),
+)
+"""From joint, to joint, share of the body's mass, centre of mass along the way.
+
+Source: Winter 2009, table 4.1 (after Dempster 1955); forearm and hand are one segment.
+"""
+
+FLOOR_TOLERANCE_M = 0.5
+CLEAR_M = 0.04
+MIN_FLIGHT_FRAMES, MAX_FLIGHT_S = 4, 1.5
+GRAVITY_RANGE = (5.0, 18.0)
+"""What free fall may measure in m/s^2.
+
+In the Bandai-Namco running clips, flights of 4 to 5 frames measure 8.5 to 12.9. A frame rate
+wrong by a factor of 1.5 or more leaves this range, since it counts squared.
+"""
+MIN_UPRIGHT = 0.5
+"""Cosine between the vertical and the direction from the feet to the head."""
+MAX_ROOT_SPEED = 13.0
+"""m/s; no one has run faster."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a recording was taken for, and what does not fit.
+
+    Attributes:
+        units, up: of the file, e.g. ``"cm"`` and ``"y"``, each with how it was known.
+        fps: frames a second.
+        stature_m: the performer's height.
+        facing_deg: the mean heading in our axes, 0 along +x, 90 along +y.
+        foot_height_m: height of the lowest foot joint.
+        gravity: measured free fall in m/s^2; None where no flight was seen.
+        problems: one clause for each thing that does not fit; empty if all is well.
+    """
+
+    units: str
+    up: str
+    fps: float
+    stature_m: float
+    facing_deg: float
+    foot_height_m: float
+    gravity: float | None
+    problems: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        fall = "no flight" if self.gravity is None else f"free fall {self.gravity:.1f} m/s2"
+        return (
+            f"units {self.units}, up {self.up}, {self.fps:g} fps ({fall}), "
+            f"{self.stature_m:.2f} m tall, faces {self.facing_deg:+.0f} deg, "
+            f"feet at {100 * self.foot_height_m:.0f} cm"
+        )
 
 
 def stature(motion: Motion) -> float:
@@ -30,3 +101,117 @@ def stature_of(offsets: np.ndarray) -> float:
     bones = [JOINTS.index(f"{side}_{j}") for side in ("left", "right") for j in ("knee", "ankle")]
     leg = np.linalg.norm(offsets[bones], axis=-1).sum() / 2.0
     return float(leg / LEG_FRACTION + rest_height(offsets) / ANKLE_TO_HEAD_FRACTION) / 2.0
+
+
+def check(motion: Motion, units: str = "m", up: str = "z") -> Report:
+    """Holds a motion against physics and anatomy; ``units`` and ``up`` are for the report."""
+    position, quat = motion.forward_kinematics()
+    height, gravity = stature(motion), free_fall(motion, position)
+    low = float(np.percentile(_feet(position)[..., 2].min(axis=(1, 2)), 2))
+    facing = np.exp(1j * rot.heading(quat[:, 0])).mean()
+    report = Report(
+        units, up, motion.fps, height, float(np.degrees(np.angle(facing))), low, gravity
+    )
+    return replace(report, problems=tuple(_problems(motion, position, report)))
+
+
+def refuse(report: Report, where: str) -> None:
+    """Raises InputError with all that does not fit."""
+    if report.problems:
+        fix = "declare --units, --up or --fps, or --accept the file as it is"
+        raise InputError("; ".join(report.problems), where, fix)
+
+
+def _problems(motion: Motion, position: np.ndarray, report: Report) -> list[str]:
+    out = []
+    if not MIN_STATURE_M <= report.stature_m <= MAX_STATURE_M:
+        out.append(
+            f"the skeleton would be {report.stature_m:.3g} m tall in {report.units}, not "
+            f"{MIN_STATURE_M}-{MAX_STATURE_M} m: wrong units"
+        )
+        return out  # every other length is wrong as well
+    if upright_share(position, np.array([0.0, 0.0, 1.0])) < MIN_UPRIGHT:
+        out.append(f"the performer never stands upright: up is not {report.up}")
+    if abs(report.foot_height_m) > FLOOR_TOLERANCE_M:
+        out.append(f"the feet are {report.foot_height_m:+.2f} m from the floor at 0")
+    if toes_ahead(position) < 0:
+        out.append("the toes point backwards: left and right are swapped or an axis is mirrored")
+    low, high = GRAVITY_RANGE
+    if report.gravity is not None and not low <= report.gravity <= high:
+        true = motion.fps * np.sqrt(9.81 / max(report.gravity, 0.1))
+        out.append(
+            f"free fall measures {report.gravity:.1f} m/s2, not 9.81, at {motion.fps:g} frames a "
+            f"second: the true frame rate may be about {true:.0f}"
+        )
+    if len(motion) > 1:
+        speed = np.linalg.norm(np.diff(position[:, 0], axis=0), axis=-1) * motion.fps
+        if speed.max() > MAX_ROOT_SPEED:
+            out.append(
+                f"the root moves at {speed.max():.0f} m/s at frame {int(speed.argmax())}, "
+                f"faster than anyone runs"
+            )
+    return out
+
+
+def upright_share(position: np.ndarray, up: np.ndarray) -> float:
+    """Cosine between ``up`` and ankles-to-head where the body stands straightest.
+
+    Args:
+        position: joints ``(T, 22, 3)``.
+        up: a unit vector ``(3,)``.
+    """
+    ankles = position[:, [JOINTS.index("left_ankle"), JOINTS.index("right_ankle")]].mean(axis=1)
+    body = position[:, JOINTS.index("head")] - ankles
+    cosine = body @ up / (np.linalg.norm(body, axis=-1) + 1e-12)
+    return float(np.percentile(cosine, 95))
+
+
+def toes_ahead(position: np.ndarray) -> float:
+    """Median cosine between ankle-to-toe and the front that left hip, right hip and head give."""
+
+    def at(name: str) -> np.ndarray:
+        return position[:, JOINTS.index(name)]
+
+    left, up = at("left_hip") - at("right_hip"), at("neck") - at("root")
+    front = np.cross(left, up)
+    toes = at("left_toe") + at("right_toe") - at("left_ankle") - at("right_ankle")
+    norm = np.linalg.norm(front, axis=-1) * np.linalg.norm(toes, axis=-1) + 1e-12
+    return float(np.median(np.sum(front * toes, axis=-1) / norm))
+
+
+def centre_of_mass(position: np.ndarray) -> np.ndarray:
+    """The body's centre of mass ``(T, 3)`` of joint positions ``(T, 22, 3)``; see ``SEGMENTS``."""
+    total = np.zeros((len(position), 3))
+    for near, far, mass, centre in SEGMENTS:
+        a, b = position[:, JOINTS.index(near)], position[:, JOINTS.index(far)]
+        total += mass * (a + centre * (b - a))
+    return total
+
+
+def free_fall(motion: Motion, position: np.ndarray) -> float | None:
+    """Downward acceleration in m/s^2 of the centre of mass in flight; None without flight.
+
+    Flight is where both feet are clearly above their lowest place and both move (a foot that
+    stands on a box is above the floor, but does not); a parabola is fitted to each flight and
+    the median is taken.
+    """
+    feet = _feet(position)
+    clear = (feet[..., 2] - np.percentile(feet[..., 2], 2, axis=0) > CLEAR_M).all(axis=(1, 2))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], clear.astype(int), [0]])))
+    height = centre_of_mass(position)[:, 2]
+    measured = []
+    for start, end in edges.reshape(-1, 2):
+        frames = end - start
+        if frames < MIN_FLIGHT_FRAMES or frames / motion.fps > MAX_FLIGHT_S:
+            continue
+        if np.ptp(feet[start:end], axis=0).max(axis=(1, 2)).min() < CLEAR_M:
+            continue
+        curve = np.polyfit(np.arange(frames) / motion.fps, height[start:end], 2)
+        measured.append(-2.0 * curve[0])
+    return float(np.median(measured)) if measured else None
+
+
+def _feet(position: np.ndarray) -> np.ndarray:
+    """Ankle and toe of each foot ``(T, 2, 2, 3)``."""
+    names = ("left_ankle", "left_toe", "right_ankle", "right_toe")
+    return position[:, [JOINTS.index(n) for n in names]].reshape(-1, 2, 2, 3)

@@ -101,6 +101,7 @@ def to_motion(recording: Recording, family: Family, metres: float, up: str, **me
                 rot.quat_conjugate(orientations[:, at]), positions[:, column] - positions[:, at]
             )
     rest = _rest_rotations(family, {j: np.median(b, axis=0) for j, b in bones.items()}, where)
+    rest_quat = dict(zip(rest, rot.matrix_to_quat(np.stack(list(rest.values()))), strict=True))
     world = world_axes(up)
     world_quat = rot.matrix_to_quat(world)
     turned = np.empty((len(positions), NUM_JOINTS, 4))
@@ -108,7 +109,7 @@ def to_motion(recording: Recording, family: Family, metres: float, up: str, **me
         if joint in index:
             own = orientations[:, joints.index(joint)]
             turned[:, joint] = rot.quat_multiply(
-                world_quat, rot.quat_multiply(own, rot.matrix_to_quat(rest[joint]))
+                world_quat, rot.quat_multiply(own, rest_quat[joint])
             )
         else:
             turned[:, joint] = turned[:, JOINT_PARENTS[joint]]

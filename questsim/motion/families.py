@@ -65,9 +65,13 @@ def _sides(joints: Mapping[str, str], left: str, right: str) -> dict[str, str]:
     return out
 
 
-def _limbs(trunk: str, legs: tuple[str, str], feet: tuple[str, str], arms: tuple[str, str]):
+def _limbs(
+    trunk: str, legs: Sequence[str], feet: Sequence[str], arms: Sequence[str]
+) -> dict[str, str]:
     """Axes by part of the body; the pairs are left and right."""
-    out = {j: trunk for j in ("root", "spine1", "spine2", "spine3", "neck", "head")}
+    out: dict[str, str] = dict.fromkeys(
+        ("root", "spine1", "spine2", "spine3", "neck", "head"), trunk
+    )
     for i, side in enumerate(("left", "right")):
         out |= {f"{side}_{j}": legs[i] for j in ("hip", "knee")}
         out |= {f"{side}_{j}": feet[i] for j in ("ankle", "toe")}

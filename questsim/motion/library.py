@@ -1,0 +1,229 @@
+"""A library: motions and retargeted clips in one .npz file.
+
+Clips are stored as poses at 36 Hz; velocities, link poses and contacts follow from them.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import zipfile
+from collections.abc import Container, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from questsim.errors import InputError
+from questsim.motion.clip import FPS, Clip
+from questsim.motion.motion import Motion
+from questsim.skeleton import DOFS, JOINT_PARENTS, JOINTS, LINKS, NUM_DOFS, NUM_JOINTS
+
+FORMAT, VERSION = "questsim-library", 1
+ABOUT = ("source", "source_sha256", "licence", "kind", "style")
+AGAIN = "import the motions again with this version"
+
+HEADER: dict[str, np.ndarray] = {
+    "format": np.array(FORMAT),
+    "version": np.array(VERSION),
+    "joints": np.array(JOINTS),
+    "joint_parents": np.array(JOINT_PARENTS),
+    "links": np.array(LINKS),
+    "dofs": np.array(DOFS),
+    "clip_fps": np.array(FPS),
+    "units": np.array("m"),
+    "up": np.array("z"),
+}
+"""What every library says about itself; a file that says anything else is refused."""
+
+
+@dataclass(frozen=True)
+class Library:
+    """Motions and clips of one file, each list in the order they were saved."""
+
+    motions: list[Motion] = field(default_factory=list)
+    clips: list[Clip] = field(default_factory=list)
+
+
+def save_library(path: str | Path, motions: Sequence[Motion], clips: Sequence[Clip]) -> None:
+    """Writes a library; the file appears whole or not at all.
+
+    Raises:
+        InputError: the folder does not exist or cannot be written.
+    """
+    arrays = dict(HEADER)
+    arrays |= {
+        "motion_name": _strings([m.name for m in motions]),
+        "motion_fps": np.array([m.fps for m in motions], float),
+        "motion_frames": np.array([len(m) for m in motions], int),
+        "motion_root": _joined([m.root_position for m in motions], (3,)),
+        "motion_rotations": _joined([m.rotations for m in motions], (NUM_JOINTS, 4)),
+        "motion_offsets": np.array([m.offsets for m in motions]).reshape(-1, NUM_JOINTS, 3),
+        "clip_name": _strings([c.name for c in clips]),
+        "clip_height_m": np.array([c.height_m for c in clips], float),
+        "clip_frames": np.array([len(c) for c in clips], int),
+        "clip_qpos": _joined([c.qpos for c in clips], (7 + NUM_DOFS,)),
+    }
+    for key in ABOUT:
+        arrays[f"motion_{key}"] = _strings([getattr(m, key) for m in motions])
+        arrays[f"clip_{key}"] = _strings([getattr(c, key) for c in clips])
+    write_atomically(Path(path), arrays)
+
+
+def load_library(
+    path: str | Path,
+    *,
+    motions: bool = True,
+    clips: bool = True,
+    names: Container[str] | None = None,
+) -> Library:
+    """Reads a library and checks it by name.
+
+    Args:
+        path: the file.
+        motions: whether to read the motions.
+        clips: whether to read the clips.
+        names: read only motions and clips of these names; by default all.
+
+    Raises:
+        InputError: the file is missing or none, of another version, of another skeleton, lacks
+            a key, or holds numbers that are not finite.
+    """
+    path = Path(path)
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            _check_header(archive, path)
+            return Library(
+                motions=_load_motions(archive, path, names) if motions else [],
+                clips=_load_clips(archive, path, names) if clips else [],
+            )
+    except FileNotFoundError:
+        raise InputError("no such file", path) from None
+    except InputError:
+        raise
+    except KeyError as error:
+        raise InputError(f"library lacks {error.args[0]}", path, AGAIN) from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(f"cannot be read as a library ({error})", path, AGAIN) from None
+
+
+def is_library(path: str | Path) -> bool:
+    """Whether a file is an .npz that calls itself a QuestSim library, of whatever version."""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return "format" in archive.files and str(archive["format"]) == FORMAT
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        return False
+
+
+def write_atomically(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Writes an .npz beside ``path`` and renames it, so that no half file is ever seen."""
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    except OSError as error:
+        raise InputError(f"cannot be written ({error.strerror})", path) from None
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez(file, **arrays)  # type: ignore[arg-type]
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(name, 0o666 & ~umask)  # mkstemp makes files that only the owner can read
+        os.replace(name, path)
+    except OSError as error:
+        Path(name).unlink(missing_ok=True)
+        raise InputError(f"cannot be written ({error.strerror})", path) from None
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def _strings(values: list[str]) -> np.ndarray:
+    return np.array(values, dtype=np.str_) if values else np.zeros(0, "U1")
+
+
+def _joined(parts: list[np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
+    return np.concatenate([np.zeros((0, *shape)), *parts]).astype(np.float32)
+
+
+def _check_header(archive: Any, path: Path) -> None:
+    for key, expected in HEADER.items():
+        if key not in archive.files:
+            what = "is not a QuestSim library" if key == "format" else f"library lacks {key!r}"
+            raise InputError(what, path, AGAIN)
+        found = archive[key]
+        if found.shape != expected.shape or not np.array_equal(found, expected):
+            if expected.ndim:
+                raise InputError(f"library is for another list of {key}", path, AGAIN)
+            raise InputError(f"library has {key} {found}, not {expected}", path, AGAIN)
+
+
+def _parts(archive: Any, path: Path, kind: str, arrays: Sequence[str]) -> dict[str, list]:
+    """The arrays of ``kind`` cut into the frames of each entry, and the text about each."""
+    frames = archive[f"{kind}_frames"]
+    if frames.ndim != 1 or frames.dtype.kind not in "iu" or (frames < 1).any():
+        raise InputError(f"{kind}_frames are not counts above zero", path, AGAIN)
+    edges = np.concatenate([[0], np.cumsum(frames)])
+    out: dict[str, list] = {}
+    for key in arrays:
+        array = archive[f"{kind}_{key}"]
+        if len(array) != edges[-1]:
+            raise InputError(f"{kind}_{key} has {len(array)} frames, not {edges[-1]}", path, AGAIN)
+        if not np.isfinite(array).all():
+            entry = int(np.searchsorted(edges, np.argwhere(~np.isfinite(array))[0][0], "right"))
+            raise InputError(
+                f"{kind}_{key} of {archive[f'{kind}_name'][entry - 1]} is not finite", path, AGAIN
+            )
+        out[key] = [array[a:b] for a, b in pairwise(edges)]
+    for key in ("name", *ABOUT):
+        out[key] = [str(text) for text in archive[f"{kind}_{key}"]]
+        if len(out[key]) != len(frames):
+            raise InputError(f"{kind}_{key} does not fit {kind}_frames", path, AGAIN)
+    return out
+
+
+def _load_motions(archive: Any, path: Path, names: Container[str] | None) -> list[Motion]:
+    parts = _parts(archive, path, "motion", ("root", "rotations"))
+    fps, offsets = archive["motion_fps"], archive["motion_offsets"]
+    if len(fps) != len(parts["name"]) or len(offsets) != len(fps):
+        raise InputError("motion_fps or motion_offsets do not fit motion_frames", path, AGAIN)
+    motions = []
+    for i, name in enumerate(parts["name"]):
+        if names is not None and name not in names:
+            continue
+        rotations = parts["rotations"][i].astype(float)
+        norm = np.linalg.norm(rotations, axis=-1, keepdims=True)
+        if (abs(norm - 1.0) > 1e-3).any():
+            raise InputError(f"motion {name} has rotations that are not unit quaternions", path)
+        motions.append(
+            Motion(
+                name=name,
+                fps=float(fps[i]),
+                root_position=parts["root"][i].astype(float),
+                rotations=rotations / norm,
+                offsets=offsets[i].astype(float),
+                **{key: parts[key][i] for key in ABOUT},
+            )
+        )
+    return motions
+
+
+def _load_clips(archive: Any, path: Path, names: Container[str] | None) -> list[Clip]:
+    from questsim.motion.kinematics import clips_from_qpos
+
+    parts = _parts(archive, path, "clip", ("qpos",))
+    heights = archive["clip_height_m"]
+    if len(heights) != len(parts["name"]):
+        raise InputError("clip_height_m does not fit clip_frames", path, AGAIN)
+    chosen = [i for i, name in enumerate(parts["name"]) if names is None or name in names]
+    if not chosen:
+        return []
+    if parts["qpos"][0].shape[1:] != (7 + NUM_DOFS,):
+        raise InputError(f"clip_qpos has rows of {parts['qpos'][0].shape[1:]}", path, AGAIN)
+    return clips_from_qpos(
+        [parts["name"][i] for i in chosen],
+        [parts["qpos"][i] for i in chosen],
+        [float(heights[i]) for i in chosen],
+        [{key: parts[key][i] for key in ABOUT} for i in chosen],
+    )

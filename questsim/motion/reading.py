@@ -1,0 +1,191 @@
+"""One motion file of any kind becomes a checked ``Motion``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from questsim.errors import InputError
+from questsim.motion.amass import is_amass, read_amass
+from questsim.motion.bvh import Recording, read_bvh
+from questsim.motion.checks import (
+    MAX_STATURE_M,
+    MIN_STATURE_M,
+    MIN_UPRIGHT,
+    Report,
+    check,
+    refuse,
+    stature,
+    upright_share,
+)
+from questsim.motion.convert import axis_vector, global_pose, to_motion
+from questsim.motion.families import SMPL, UNITS, Family, load_mapping, recognise
+from questsim.motion.motion import Motion
+from questsim.skeleton import JOINTS
+
+UP_AXES = ("y", "z", "x", "-y", "-z", "-x")
+SUFFIXES = (".bvh", ".npz")
+_CLIP_NAME = re.compile(r"dataset-\d+_(?P<kind>[a-z-]+)_(?P<style>[a-z-]+)_\d+")
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """What the user declares about files; None is to detect it.
+
+    Attributes:
+        units: a key of ``families.UNITS``.
+        up: the up axis, one of ``UP_AXES``.
+        fps: the true frame rate.
+        mapping: a mapping file for an unknown skeleton (see ``families.load_mapping``).
+        height_m: the subject's stature, for AMASS files.
+        smpl_file: a SMPL model file, for AMASS files.
+        licence: the data's licence.
+        accept: take the file even where it fails the checks.
+    """
+
+    units: str | None = None
+    up: str | None = None
+    fps: float | None = None
+    mapping: str | None = None
+    height_m: float | None = None
+    smpl_file: str | None = None
+    licence: str = ""
+    accept: bool = False
+
+    def __post_init__(self) -> None:
+        if self.units not in (None, *UNITS):
+            raise InputError(f"units {self.units!r}", fix=f"choose one of {', '.join(UNITS)}")
+        if self.up not in (None, *UP_AXES):
+            raise InputError(f"up axis {self.up!r}", fix=f"choose one of {', '.join(UP_AXES)}")
+        if self.fps is not None and not self.fps > 0:
+            raise InputError(f"frame rate {self.fps:g} is not above zero", "--fps")
+
+
+def read_motion(
+    path: str | Path, options: ReadOptions | None = None, family: Family | None = None
+) -> tuple[Motion, Report]:
+    """Reads and checks a BVH or AMASS file.
+
+    Args:
+        path: the file.
+        options: what is declared about it.
+        family: its skeleton; by default that of ``options.mapping`` or the one recognised.
+
+    Raises:
+        InputError: the file cannot be read, its skeleton is unknown, or it fails a check and
+            ``options.accept`` is not set.
+    """
+    path, options = Path(path), options or ReadOptions()
+    if path.suffix.lower() == ".npz":
+        motion, report = _read_amass(path, options)
+    else:
+        motion, report = _read_bvh(path, options, family)
+    if not options.accept:
+        refuse(report, str(path))
+    return motion, report
+
+
+def motion_files(path: str | Path) -> list[Path]:
+    """A file itself, or the BVH and npz files in a folder and below, sorted.
+
+    Raises:
+        InputError: there is no such file, or none of these in the folder.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError("no such file or folder", path)
+    if path.is_file():
+        if path.suffix.lower() not in SUFFIXES:
+            raise InputError(f"is not one of {', '.join(SUFFIXES)}", path, "give a motion file")
+        return [path]
+    found = sorted(p for p in _walk(path) if p.suffix.lower() in SUFFIXES)
+    if not found:
+        raise InputError("no .bvh or .npz file in this folder", path)
+    return found
+
+
+def _walk(folder: Path) -> Iterator[Path]:
+    return (p for p in folder.rglob("*") if p.is_file() and not p.name.startswith("."))
+
+
+def _read_amass(path: Path, options: ReadOptions) -> tuple[Motion, Report]:
+    if not is_amass(path):
+        # Also says why a file is none: missing, empty, no .npz.
+        read_amass(path)
+    recording = read_amass(path, height_m=options.height_m, smpl_file=options.smpl_file)
+    if options.fps:
+        recording = replace(recording, fps=options.fps)
+    units, up = options.units or "m", options.up or "z"
+    motion = to_motion(recording, SMPL, UNITS[units], up, licence=options.licence)
+    return motion, check(motion, units, up)
+
+
+def _read_bvh(path: Path, options: ReadOptions, family: Family | None) -> tuple[Motion, Report]:
+    recording = read_bvh(path)
+    if options.fps:
+        recording = replace(recording, fps=options.fps)
+    if family is None:
+        family = load_mapping(options.mapping) if options.mapping else None
+    family = family or recognise(recording.names, path)
+    about = {"licence": options.licence}
+    if named := _CLIP_NAME.fullmatch(path.stem):
+        about |= named.groupdict()
+    usual = f"as {family.name} files"
+    if family.units and family.up and not (options.units or options.up):
+        motion = to_motion(recording, family, UNITS[family.units], family.up, **about)
+        report = check(motion, f"{family.units} ({usual})", f"{family.up} ({usual})")
+        if not report.problems:
+            return motion, report
+    units, units_note = _units(recording, family, options)
+    up, up_note = _up_axis(recording, family, options)
+    motion = to_motion(recording, family, UNITS[units], up, **about)
+    return motion, check(motion, f"{units} ({units_note})", f"{up} ({up_note})")
+
+
+def _units(recording: Recording, family: Family, options: ReadOptions) -> tuple[str, str]:
+    """The file's units and how they are known.
+
+    What a family usually has is believed only if it gives a person's height.
+    """
+    if options.units:
+        return options.units, "declared"
+    # One frame is enough for bone lengths, and in one frame no bone can stretch.
+    first = replace(recording, positions=recording.positions[:1], rotations=recording.rotations[:1])
+    height = stature(to_motion(first, family, 1.0, family.up or "y"))
+    fitting = [u for u, m in UNITS.items() if MIN_STATURE_M <= height * m <= MAX_STATURE_M]
+    if family.units in fitting or (family.units and not fitting):
+        return family.units, f"as {family.name} files"
+    if not fitting:
+        raise InputError(
+            f"the skeleton is {height:.3g} units tall, a person in none of {', '.join(UNITS)}",
+            recording.path,
+            "declare --units and --accept the file",
+        )
+    return fitting[0], "detected"
+
+
+def _up_axis(recording: Recording, family: Family, options: ReadOptions) -> tuple[str, str]:
+    """The file's up axis and how it is known: where the head is above the feet."""
+    if options.up:
+        return options.up, "declared"
+    every = max(1, len(recording.positions) // 200)
+    few = replace(
+        recording,
+        positions=recording.positions[::every],
+        rotations=recording.rotations[::every],
+    )
+    position, _ = global_pose(few)
+    ours = np.zeros((len(position), len(JOINTS), 3))
+    for joint in ("head", "left_ankle", "right_ankle"):
+        ours[:, JOINTS.index(joint)] = position[:, recording.names.index(family.joints[joint])]
+    shares = {axis: upright_share(ours, axis_vector(axis)) for axis in UP_AXES}
+    best = max(UP_AXES, key=lambda axis: shares[axis])
+    if family.up and shares[family.up] >= min(0.8, shares[best]):
+        return family.up, f"as {family.name} files"
+    if shares[best] < MIN_UPRIGHT and family.up:
+        return family.up, f"as {family.name} files"
+    return best, "detected"
