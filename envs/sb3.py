@@ -84,7 +84,7 @@ class QuestVecEnv(VecEnv):
     def step_wait(self) -> VecEnvStepReturn:
         """Step; see the class for what infos hold."""
         sim = self.sim
-        sim.step(self._action)
+        self._advance()
         self._return += sim.reward
         self._length += 1
         done = sim.fell | sim.ended
@@ -94,6 +94,9 @@ class QuestVecEnv(VecEnv):
         if len(ids):
             self._end_episodes(ids, infos)
         return sim.observation.copy(), reward, done, infos
+
+    def _advance(self) -> None:
+        self.sim.step(self._action)
 
     def _end_episodes(self, ids: np.ndarray, infos: list[dict[str, Any]]) -> None:
         sim = self.sim
