@@ -144,6 +144,8 @@ def _run_named(name: str, argv: Sequence[str]) -> int:
     import tyro
 
     command = COMMANDS[name]
+    # Threads of PyTorch that spin while they wait would starve those of the physics.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
     def parse_and_run() -> object:
         module = importlib.import_module(command.module)
