@@ -1,0 +1,231 @@
+"""One string names motions everywhere: a dataset, a library, a file, a folder, ``synthetic``."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TypeVar
+
+from questsim import rotations, skeleton
+from questsim.assets import mjcf_path
+from questsim.errors import InputError
+from questsim.motion import datasets
+from questsim.motion.clip import Clip
+from questsim.motion.library import VERSION, Library, is_library, load_library, save_library
+from questsim.motion.motion import Motion
+from questsim.motion.reading import ReadOptions, motion_files, read_motion
+
+SYNTHETIC = "synthetic"
+MANY = 64
+"""From this many files on, two processes read them and a progress bar is shown."""
+
+_T = TypeVar("_T", Motion, Clip)
+
+
+def load_motions(
+    spec: str | Sequence[str],
+    *,
+    height_m: float | None = None,
+    mirrored: bool = False,
+    seed: int = 0,
+) -> list[Clip]:
+    """The avatar's clips that a motion argument names.
+
+    Files are read and retargeted once; the result is kept in the cache.
+
+    Args:
+        spec: ``synthetic``, a dataset (``bandai-namco-2``, ``bandai-namco-2:train``,
+            ``bandai-namco-2:test``), a library, a BVH or AMASS file, a folder of these, or
+            several, joined by commas or as a sequence.
+        height_m: scale all clips to this stature; by default each keeps its performer's.
+        mirrored: add a mirrored copy of each clip after the clip itself.
+        seed: of the synthetic motions.
+
+    Raises:
+        InputError: there is no such thing, a dataset has not been fetched, or a file cannot be
+            used.
+    """
+    from questsim.motion.retarget import mirror_clip
+
+    clips: list[Clip] = []
+    for part in _parts(spec):
+        clips += _synthetic(seed) if part == SYNTHETIC else _load(part, clips=True).clips
+    clips = _with_unique_names(clips)
+    if height_m is not None:
+        clips = [clip.scaled(height_m) for clip in clips]
+    if mirrored:
+        clips = [copy for clip in clips for copy in (clip, mirror_clip(clip))]
+    return clips
+
+
+def load_recordings(
+    spec: str | Sequence[str], *, mirrored: bool = False, seed: int = 0
+) -> list[Motion]:
+    """The same as motions on the 22-joint skeleton, as recorded (synthetic ones as made).
+
+    Args:
+        spec: as in ``load_motions``.
+        mirrored: add a mirrored copy of each motion after the motion itself.
+        seed: of the synthetic motions.
+
+    Raises:
+        InputError: as ``load_motions``.
+    """
+    from questsim.motion.retarget import to_motion
+
+    motions: list[Motion] = []
+    for part in _parts(spec):
+        if part == SYNTHETIC:
+            motions += [to_motion(clip) for clip in _synthetic(seed)]
+        else:
+            motions += _load(part, clips=False).motions
+    motions = _with_unique_names(motions)
+    if mirrored:
+        motions = [copy for motion in motions for copy in (motion, motion.mirrored())]
+    return motions
+
+
+@dataclass(frozen=True)
+class Retargeted:
+    """What ``read_and_retarget`` makes of a file."""
+
+    motion: Motion
+    clip: Clip
+    report: str
+    error_cm: dict[str, float]
+
+
+def read_and_retarget(path: Path, options: ReadOptions) -> Retargeted:
+    """Reads, checks and retargets one file."""
+    from questsim.motion.retarget import retargeting_error, to_clip
+
+    motion, report = read_motion(path, options)
+    clip = to_clip(motion)
+    return Retargeted(motion, clip, str(report), retargeting_error(motion, clip))
+
+
+def read_many(paths: Sequence[Path], options: ReadOptions) -> Iterable[Retargeted]:
+    """Reads and retargets files in order; many of them on two processes."""
+    task = partial(read_and_retarget, options=options)
+    if len(paths) < MANY:
+        yield from map(task, paths)
+        return
+    from tqdm import tqdm
+
+    # The parent may hold threads and a GL context: a fresh process inherits neither.
+    workers = min(2, os.cpu_count() or 1)
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        results = pool.map(task, paths, chunksize=8)
+        yield from tqdm(results, total=len(paths), desc="retargeting", unit=" clips", disable=None)
+
+
+def split_libraries(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
+    """Motion files to be read, and libraries to be loaded."""
+    libraries = [file for file in files if file.suffix.lower() == ".npz" and is_library(file)]
+    return [file for file in files if file not in libraries], libraries
+
+
+def _parts(spec: str | Sequence[str]) -> list[str]:
+    listed = [spec] if isinstance(spec, str) else list(spec)
+    parts = [part.strip() for entry in listed for part in entry.split(",") if part.strip()]
+    if not parts:
+        raise InputError("no motions named", fix=_choices())
+    return parts
+
+
+def _choices() -> str:
+    return (
+        f"give {SYNTHETIC}, {', '.join(datasets.DATASETS)} (or with :train, :test), a library, "
+        f"a BVH or npz file, or a folder"
+    )
+
+
+def _load(part: str, clips: bool) -> Library:
+    """One part of a spec, but ``synthetic``: its clips, or else its motions."""
+    name, _, split = part.partition(":")
+    if name in datasets.DATASETS:
+        return _load_dataset(name, split or None, clips)
+    if not Path(part).exists():
+        raise InputError(f"no motions {part!r}", fix=_choices())
+    raw, libraries = split_libraries(motion_files(part))
+    out = Library()
+    for file in libraries:
+        loaded = load_library(file, motions=not clips, clips=clips)
+        out.motions.extend(loaded.motions)
+        out.clips.extend(loaded.clips)
+    if raw:
+        digests = [f"{file.stem} {datasets.file_digest(file)}" for file in raw]
+        loaded = _cached(digests, lambda: raw, ReadOptions(), clips)
+        out.motions.extend(loaded.motions)
+        out.clips.extend(loaded.clips)
+    return out
+
+
+def _load_dataset(name: str, split: str | None, clips: bool) -> Library:
+    chosen = set(datasets.split_names(name, split))
+    options = ReadOptions(licence=datasets.DATASETS[name].licence)
+    key = [name, datasets.manifest_digest(name)]
+    # Asked first, so that a cache of clips does not serve a dataset that is not there.
+    files = datasets.clip_files(name)
+    return _cached(key, lambda: files, options, clips, chosen)
+
+
+def _cached(
+    key: list[str],
+    files: Callable[[], Sequence[Path]],
+    options: ReadOptions,
+    clips: bool,
+    names: set[str] | None = None,
+) -> Library:
+    """Reads files through a library in the cache, whose name is a digest of all it depends on."""
+    digest = hashlib.sha256("\n".join([*key, repr(options), _code_digest()]).encode())
+    path = datasets.cache_dir() / "clips" / f"{digest.hexdigest()[:32]}.npz"
+    if not path.is_file():
+        done = list(read_many(files(), options))
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"cache cannot be written ({error.strerror})",
+                path.parent,
+                "set QUESTSIM_CACHE to a folder of yours",
+            ) from None
+        save_library(path, [r.motion for r in done], [r.clip for r in done])
+    # Also the first time through the file, so that the first and later calls agree to the bit.
+    return load_library(path, motions=not clips, clips=clips, names=names)
+
+
+@lru_cache
+def _code_digest() -> str:
+    """Digest of the code and the body that clips depend on: they outdate the cache."""
+    here = Path(__file__).parent
+    names = "bvh amass families convert reading checks motion clip retarget kinematics"
+    sources = [here / f"{name}.py" for name in names.split()]
+    sources += [Path(str(module.__file__)) for module in (rotations, skeleton)]
+    sources += [here.parent / "body.py", mjcf_path("humanoid.xml")]
+    digest = hashlib.sha256(str(VERSION).encode())
+    for source in sources:
+        digest.update(source.read_bytes())
+    return digest.hexdigest()
+
+
+def _synthetic(seed: int) -> list[Clip]:
+    from questsim.motion.synthetic import synthetic_clips
+
+    return synthetic_clips(seed)
+
+
+def _with_unique_names(items: list[_T]) -> list[_T]:
+    """Numbers the names that come twice, as from two folders with equal file names."""
+    seen: dict[str, int] = {}
+    out = []
+    for item in items:
+        count = seen[item.name] = seen.get(item.name, 0) + 1
+        out.append(item if count == 1 else replace(item, name=f"{item.name}-{count}"))
+    return out
