@@ -1,0 +1,111 @@
+"""The path of the body over its feet: balance in the plane, height and flight.
+
+The centre of mass obeys the equation of a point mass above its centre of pressure,
+``c'' = (z'' + g) / z (c - p)`` (Kajita et al., "Biped walking pattern generation by using preview
+control of zero-moment point", ICRA 2003, eq. 9, with a height that varies): solved for a whole
+clip it gives sway, changes of speed, the shift of weight before a first step and the lean into a
+turn; in flight, where ``z'' = -g``, a straight line.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import solve_banded
+from scipy.ndimage import gaussian_filter1d, minimum_filter1d
+
+from questsim.motion.gait_curves import GRAVITY, Gait
+from questsim.motion.synth_feet import Feet
+from questsim.motion.synth_plan import Steps
+from questsim.motion.synth_pose import (
+    Posture,
+    center_of_mass,
+    highest_root,
+    solve,
+    world,
+)
+
+_ROUNDS = 4
+
+
+def balanced_path(cop: np.ndarray, height: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """``(T, 2)`` path of a point mass at the heights ``(T,)`` over the pressures ``(T, 2)``.
+
+    The ends stand above the pressure.
+    """
+    step = time[1] - time[0]
+    support = (np.gradient(np.gradient(height, step), step) + GRAVITY).clip(0.0) / height * step**2
+    support[[0, -1]] = 1.0
+    diagonal, beside = 2.0 + support, -np.ones(len(time))
+    diagonal[[0, -1]] = 1.0
+    above, below = beside.copy(), beside.copy()
+    above[[0, 1]], below[[-1, -2]] = 0.0, 0.0
+    return solve_banded((1, 1), np.stack([above, diagonal, below]), support[:, None] * cop)
+
+
+def settle(
+    posture: Posture,
+    feet: Feet,
+    height: np.ndarray,
+    cop: np.ndarray,
+    time: np.ndarray,
+    jog: bool,
+    shown: slice = slice(None),
+) -> np.ndarray:
+    """The poses ``(T, 40)`` whose centre of mass balances over the pressures.
+
+    Args:
+        posture: the upper body.
+        feet: where the feet are.
+        height: ``(T,)`` wished height of the root in metres; it is lowered where a leg is short.
+        cop: ``(T, 2)`` centre of pressure.
+        time: ``(T,)`` seconds.
+        jog: whether the height follows from flight and may be lowered only as a whole.
+        shown: the frames that will be kept.
+    """
+    pelvis = world(posture.heading, posture.pelvis)
+    offset = np.zeros((len(time), 3))
+    offset[:, 2] = 0.07
+    root = np.column_stack([cop, height])
+    qpos = np.empty(0)
+    for _ in range(_ROUNDS):
+        root[:, :2] = balanced_path(cop, root[:, 2] + offset[:, 2], time) - offset[:, :2]
+        root[:, 2] = height
+        excess = root[:, 2] - highest_root(feet, root, pelvis)
+        root[:, 2] -= max(excess[shown].max(), 0.0) if jog else _lowering(excess, time)
+        qpos = solve(posture, root, feet)
+        offset = center_of_mass(qpos) - root
+    return qpos
+
+
+def _lowering(excess: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """A smooth curve that is nowhere below the excess ``(T,)`` of height."""
+    frames = 0.03 / (time[1] - time[0])
+    wide = -minimum_filter1d(-excess.clip(0.0), 2 * int(np.ceil(3.0 * frames)) + 1)
+    return gaussian_filter1d(wide, frames, truncate=3.0)
+
+
+def walking_height(gait: Gait, steps: Steps, standing: float) -> np.ndarray:
+    """Wished height ``(T,)`` of the root: highest in the middle of each single support."""
+    wave = np.cos(4.0 * np.pi * (steps.phase - 0.5 * gait.duty))
+    return standing - 0.004 * steps.amount + gait.bob_m * steps.amount * (wave - 1.0)
+
+
+def jogging_height(gait: Gait, steps: Steps, standing: float) -> np.ndarray:
+    """Height ``(T,)`` of the root when each foot pushes as a half sine and then flies.
+
+    Twice integrated from ``z'' = a sin(pi s / contact) - g``, the half sine's size such that
+    pushes balance the weight over a step (Alexander 1989, "Optimization and gaits", eq. 3).
+    """
+    step = 0.5 * gait.stride_s
+    contact = gait.duty * gait.stride_s
+    flight = step - contact
+    s = np.mod(2.0 * steps.phase, 1.0) * step
+    size = GRAVITY * np.pi * step / (2.0 * contact)
+    speed = -0.5 * GRAVITY * flight
+    w = np.pi / contact
+    # In contact: rate = speed + size / w (1 - cos w s) - g s.
+    push = speed * s + size / w * (s - np.sin(w * s) / w) - 0.5 * GRAVITY * s * s
+    fly = s - contact
+    flying = 0.5 * GRAVITY * fly * (flight - fly)
+    bounce = np.where(s < contact, push, flying)
+    return standing + bounce
