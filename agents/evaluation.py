@@ -1,0 +1,220 @@
+"""Evaluation from the command line: every clip from its first frame, a table, a report."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+
+from agents.agent import Agent, PolicyAgent, load_agent
+from agents.rolling import choose_clips, evaluation_sim, follow
+from agents.run_folder import data_record, versions
+from envs.config import EnvConfig
+from envs.core import BatchSim
+from questsim.errors import InputError
+from questsim.evaluation_report import check_writable, format_table, write_report
+from questsim.metrics import Rollout
+from questsim.metrics import evaluate as score
+from questsim.motion.clip import FPS, Clip
+from questsim.skeleton import NUM_DOFS, NUM_LINKS
+
+BATCH_CLIPS = 320
+"""At most this many clips are simulated at once: recordings of more would fill the memory."""
+
+
+@dataclass(frozen=True)
+class EvaluateArgs:
+    """Let an agent follow clips from their first frame and score it."""
+
+    agent: str
+    """A policy folder, a run folder, a shipped policy's name, zero or random."""
+    motions: str = "synthetic"
+    """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
+    env: str | None = None
+    """Environment id, QuestSim-v0 or QuestSimHeadset-v0; by default what the agent needs."""
+    height: float | None = None
+    """Stature in metres to scale avatar and clips to; by default the motions' own."""
+    out: Path | None = None
+    """Folder for metrics.json, clips.csv and plots."""
+    video: bool = False
+    """Also write a video of avatar beside reference."""
+    max_clips: int | None = None
+    """Follow only this many clips, of all kinds of motion."""
+    threads: int = 2
+    """Threads of physics and networks."""
+    seed: int = 0
+    """Of the embedded motions."""
+
+
+def evaluate(args: EvaluateArgs) -> int:
+    """Run an evaluation, print its table and write its report; returns the exit code.
+
+    Raises:
+        InputError: for an agent, motions or a folder that cannot be used.
+    """
+    from questsim.motion.spec import load_motions
+
+    if args.video and args.out is None:
+        raise InputError("a video needs a folder", "--video", "add --out DIR")
+    if args.out is not None:
+        check_writable(args.out)
+    torch.set_num_threads(args.threads)
+    agent = load_agent(args.agent)
+    config = env_config(agent, args.env, args.height)
+    clips = load_motions(args.motions, seed=args.seed)
+    if args.max_clips is not None:
+        clips = choose_clips(clips, args.max_clips)
+    rollouts = roll_out(agent, clips, config, args.threads)
+    if args.out is None:
+        print(format_table(score(rollouts)))
+        return 0
+    context = {
+        "agent": args.agent,
+        "training": agent.card.get("training", {}) if isinstance(agent, PolicyAgent) else {},
+        "config": config,
+        "data": data_record(args.motions, clips),
+        "versions": versions(),
+        "threads": args.threads,
+    }
+    print(format_table(write_report(rollouts, args.out, context)))
+    print(f"written to {args.out}")
+    if args.video:
+        _film(rollouts, args.out / "rollouts.mp4")
+    return 0
+
+
+def env_config(agent: Agent, env_id: str | None = None, height_m: float | None = None) -> EnvConfig:
+    """The environment that an agent needs, from an id if one is given.
+
+    Args:
+        agent: says which sensors, future frames and body it was made for.
+        env_id: a registered environment; its options replace the agent's.
+        height_m: stature of all avatars.
+
+    Raises:
+        InputError: there is no such id, or its options do not suit.
+    """
+    options: dict[str, Any] = {
+        "sensors": agent.needs.sensors,
+        "future_frames": agent.needs.future_frames,
+        "privileged": agent.needs.privileged,
+        "body_preset": agent.needs.body_preset,
+    }
+    if env_id is not None:
+        known = sorted(i for i in gym.registry if i.startswith("QuestSim"))
+        if env_id not in known:
+            raise InputError(f"there is no environment {env_id!r}", "--env", ", ".join(known))
+        options |= {"sensors": EnvConfig().sensors} | gym.spec(env_id).kwargs
+    heights = None if height_m is None else (height_m, height_m)
+    return EnvConfig(**options, heights=heights, fixed_start=True)
+
+
+def roll_out(
+    agent: Agent, clips: Sequence[Clip], config: EnvConfig, threads: int = 1
+) -> list[Rollout]:
+    """Let an agent follow clips, in as few batches as the memory allows.
+
+    Args:
+        agent: any.
+        clips: what to follow.
+        config: with ``fixed_start``.
+        threads: of the physics.
+
+    Returns:
+        One rollout a clip, in their order.
+
+    Raises:
+        InputError: a clip is shorter than the future window, or the agent does not fit.
+    """
+    # Clips of similar length together: a batch takes as long as its longest.
+    order = sorted(range(len(clips)), key=lambda i: len(clips[i]))
+    rollouts: dict[int, Rollout] = {}
+    for first in range(0, len(order), BATCH_CLIPS):
+        part = order[first : first + BATCH_CLIPS]
+        batch = [clips[i] for i in part]
+        rollouts.update(zip(part, _roll_out_batch(agent, batch, config, threads), strict=True))
+    return [rollouts[i] for i in range(len(clips))]
+
+
+class Recorder:
+    """Keeps what metrics need of every step of a batch.
+
+    Args:
+        sim: the simulation, one avatar a clip.
+        frames: of the longest clip.
+    """
+
+    def __init__(self, sim: BatchSim, frames: int) -> None:
+        self._sim = sim
+        n = sim.num_envs
+        self.position = np.zeros((frames, n, NUM_LINKS, 3), np.float32)
+        self.quat = np.zeros((frames, n, NUM_LINKS, 4), np.float32)
+        self.angles = np.zeros((frames, n, NUM_DOFS), np.float32)
+        self.clearance = np.zeros((frames, n, 2), np.float32)
+        self.force = np.zeros((frames, n, 2), np.float32)
+        self.count = np.zeros(n, np.int64)
+        self._at = 0
+
+    def __call__(self, keep: np.ndarray) -> None:
+        """Take in the present state; ``keep`` ``(n,)`` says whose counts as a frame."""
+        sim, at = self._sim, self._at
+        self.position[at] = sim.link_positions
+        self.quat[at] = sim.link_quats
+        self.angles[at] = sim.joint_angles
+        self.clearance[at] = sim.foot_clearance
+        self.force[at] = sim.contact_force[..., 2]
+        self.count += keep
+        self._at += 1
+
+
+def _roll_out_batch(
+    agent: Agent, clips: list[Clip], config: EnvConfig, threads: int
+) -> list[Rollout]:
+    sim = evaluation_sim(clips, config, threads)
+    try:
+        agent.bind(sim)
+        recorder = Recorder(sim, max(len(clip) for clip in clips))
+        followed = follow(agent, sim, clips, recorder)
+    finally:
+        sim.close()
+    steps = int(followed.frames.sum())
+    rollouts = []
+    for i, clip in enumerate(clips):
+        frames = int(recorder.count[i])
+        height = float(sim.heights[i])
+        rollouts.append(
+            Rollout(
+                name=clip.name,
+                kind=clip.kind,
+                style=clip.style,
+                height_m=height,
+                fps=FPS,
+                reference=clip.scaled(height),
+                link_position=recorder.position[:frames, i],
+                link_quat=recorder.quat[:frames, i],
+                joint_angles=recorder.angles[:frames, i],
+                foot_clearance=recorder.clearance[:frames, i],
+                contact_force=recorder.force[:frames, i],
+                fell=bool(followed.fell[i]),
+                seconds_simulated=followed.frames[i] / FPS,
+                seconds_wall=followed.seconds * float(followed.frames[i]) / steps,
+            )
+        )
+    return rollouts
+
+
+def _film(rollouts: list[Rollout], path: Path) -> None:
+    """Write the video, or say in one line why there is none."""
+    from questsim.viewing.films import rollout_video
+    from questsim.viewing.gl import NoGLError
+
+    try:
+        print(f"written to {rollout_video(rollouts, path)}")
+    except NoGLError as error:
+        print(f"no video: {error}", file=sys.stderr)

@@ -1,0 +1,15 @@
+"""Score an agent: ``python evaluate.py --agent NAME --motions bandai-namco-2:test --out DIR``."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+# Threads that spin while they wait for work starve the physics threads next to them.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+from agents.evaluation import EvaluateArgs, evaluate
+from questsim.cli import run
+
+if __name__ == "__main__":
+    sys.exit(run(evaluate, EvaluateArgs))
