@@ -90,6 +90,7 @@ def _make_folder(folder: Path, created: list[Path]) -> None:
 
 
 def _remove_empty(created: Sequence[Path]) -> None:
+    """Remove folders again that nothing was put into, lowest first."""
     for path in reversed(created):
         with contextlib.suppress(OSError):
             path.rmdir()
@@ -123,7 +124,6 @@ def write_report(
         _write_files(rollouts, metrics, working)
         for name in FILES:
             os.replace(working / name, folder / name)
-        created.clear()
     finally:
         shutil.rmtree(working, ignore_errors=True)
         _remove_empty(created)

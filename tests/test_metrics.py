@@ -260,9 +260,18 @@ def test_a_heel_that_rises_as_the_foot_rolls_over_its_ball_does_not_skate():
     assert slip.max() < 0.5
 
 
+@pytest.mark.parametrize("height_m", [1.4, 1.75, 2.1])
+def test_soles_of_any_height_touch_the_floor_where_the_avatar_stands(height_m):
+    clip = still_clip(height_m=height_m)
+    centres, radius = sole_spheres(height_m)
+    feet = clip.link_position[0, list(FOOT_LINKS)]
+    lowest = feet[:, None, 2] + centres[..., 2] - radius
+    assert lowest == pytest.approx(np.zeros((2, 4)), abs=1e-9)
+
+
 def test_penetration_is_the_depth_of_the_deeper_foot():
     clip = still_clip(frames=2)
-    clearance = np.array([[-0.02, -0.01], [0.03, 0.0]])
+    clearance = np.array([[-0.02, -0.01], [0.03, 0.01]])
     assert figure("penetration_cm", rollout(clip, foot_clearance=clearance)) == pytest.approx(1.0)
 
 
