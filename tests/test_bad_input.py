@@ -1,0 +1,193 @@
+"""Input that cannot be used: one clear line on stderr, exit code 2, nothing half written."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from bvh_files import BvhText
+
+ROOT = Path(__file__).parents[1]
+GOOD = str(BvhText())
+
+
+@dataclass
+class Attempt:
+    """One run of the real command line, and what it left behind."""
+
+    code: int
+    out: str
+    err: str
+    left: set[str] = field(default_factory=set)
+
+
+def questsim(folder: Path, *words: object, script: str | None = None) -> Attempt:
+    """Run ``questsim WORDS`` (or ``script WORDS``) in ``folder``."""
+    command = [sys.executable, *([str(ROOT / script)] if script else ["-m", "questsim.cli"])]
+    before = set(folder.rglob("*"))
+    done = subprocess.run(
+        [*command, *map(str, words)],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    left = {path.relative_to(folder).as_posix() for path in set(folder.rglob("*")) - before}
+    return Attempt(done.returncode, done.stdout, done.stderr, left - {"MUJOCO_LOG.TXT"})
+
+
+def assert_refused(attempt: Attempt, *wanted: str) -> None:
+    assert attempt.code == 2, attempt.err
+    assert attempt.err.startswith("error: "), attempt.err
+    assert attempt.err.count("\n") == 1, attempt.err
+    assert not [text for text in wanted if text not in attempt.err], attempt.err
+    assert not attempt.left
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory) -> Path:
+    """What ``motions import`` makes of a good file: the damage below is all that is wrong."""
+    folder = tmp_path_factory.mktemp("library")
+    (folder / "good.bvh").write_text(GOOD)
+    attempt = questsim(folder, "motions", "import", "good.bvh", "--out", "good.npz")
+    assert attempt.code == 0, attempt.err
+    assert attempt.left == {"good.npz"}
+    return folder / "good.npz"
+
+
+@pytest.fixture(scope="module")
+def run_folder(library, tmp_path_factory) -> Path:
+    """A training of a few steps."""
+    folder = tmp_path_factory.mktemp("run")
+    words = ("--preset", "smoke", "--motions", library, "--out", "run", "--steps", 64, "--envs", 4)
+    attempt = questsim(folder, *words, script="train.py")
+    assert attempt.code == 0, attempt.err
+    return folder / "run"
+
+
+def frames_damaged(old: str, new: str) -> str:
+    header, rows = GOOD.split("MOTION")
+    return header + "MOTION" + rows.replace(old, new, 1)
+
+
+DAMAGED = {
+    "empty": ("", ["is empty"]),
+    "no-bvh": ("a letter\n", ["HIERARCHY"]),
+    "truncated": (GOOD[: GOOD.rindex("\n", 0, -400) + 1], ["MOTION block", "of 60 frames"]),
+    "unknown-joints": (GOOD.replace("LeftForeArm", "Blob"), ["skeleton", "LeftForeArm"]),
+    "nan": (frames_damaged("96.0000", "nan"), ["finite", "line"]),
+    "wrong-units": (str(BvhText(scale=0.1)), ["units"]),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_import_refuses_a_damaged_bvh(name, tmp_path):
+    text, wanted = DAMAGED[name]
+    (tmp_path / f"{name}.bvh").write_text(text)
+    attempt = questsim(tmp_path, "motions", "import", f"{name}.bvh", "--out", "lib.npz")
+    assert_refused(attempt, f"{name}.bvh", *wanted)
+
+
+def test_one_damaged_file_among_good_ones_leaves_no_library(tmp_path):
+    (tmp_path / "a.bvh").write_text(GOOD)
+    (tmp_path / "b.bvh").write_text(DAMAGED["truncated"][0])
+    assert_refused(questsim(tmp_path, "motions", "import", ".", "--out", "lib.npz"), "b.bvh")
+
+
+def test_import_refuses_declared_units_that_make_a_giant(tmp_path):
+    (tmp_path / "a.bvh").write_text(GOOD)
+    words = ("motions", "import", "a.bvh", "--out", "lib.npz", "--units", "m")
+    assert_refused(questsim(tmp_path, *words), "a.bvh", "177 m", "units")
+
+
+def test_import_refuses_a_missing_file(tmp_path):
+    attempt = questsim(tmp_path, "motions", "import", "none.bvh", "--out", "lib.npz")
+    assert_refused(attempt, "none.bvh")
+
+
+def test_import_refuses_an_unwritable_out(tmp_path):
+    (tmp_path / "a.bvh").write_text(GOOD)
+    attempt = questsim(tmp_path, "motions", "import", "a.bvh", "--out", "a.bvh/lib.npz")
+    assert_refused(attempt, "a.bvh: ")
+
+
+@pytest.mark.parametrize("key, value", [("version", 99), ("dofs", np.array(["knee"]))])
+def test_library_of_another_version_or_body_is_refused(key, value, library, tmp_path):
+    with np.load(library) as archive:
+        arrays = dict(archive) | {key: np.asarray(value)}
+    np.savez(tmp_path / "other.npz", **arrays)
+    attempt = questsim(tmp_path, "motions", "list", "other.npz")
+    assert_refused(attempt, "other.npz", key)
+
+
+def test_npz_that_is_no_motion_is_refused(tmp_path):
+    np.savez(tmp_path / "other.npz", numbers=np.arange(3))
+    assert_refused(questsim(tmp_path, "motions", "list", "other.npz"), "other.npz")
+
+
+def test_show_refuses_an_unknown_clip(library, tmp_path):
+    attempt = questsim(tmp_path, "motions", "show", "none", "--motions", library)
+    assert_refused(attempt, "'none'", "good")
+
+
+def test_training_refuses_a_motion_shorter_than_the_future_window(tmp_path):
+    (tmp_path / "short.bvh").write_text(str(BvhText(frames=4)))
+    words = ("--preset", "smoke", "--motions", "short.bvh", "--out", "run")
+    attempt = questsim(tmp_path, *words, script="train.py")
+    assert_refused(attempt, "short", "future frames")
+
+
+def test_training_refuses_motions_that_are_missing(tmp_path):
+    words = ("--motions", "none.bvh", "--out", "run")
+    assert_refused(questsim(tmp_path, *words, script="train.py"), "none.bvh")
+
+
+def test_resume_refuses_an_empty_folder(tmp_path):
+    (tmp_path / "run").mkdir()
+    assert_refused(questsim(tmp_path, "--resume", "--out", "run", script="train.py"), "run")
+
+
+@pytest.mark.parametrize("out", ["file", "file/run"])
+def test_training_refuses_an_unwritable_out(out, library, tmp_path):
+    (tmp_path / "file").write_text("")
+    words = ("--preset", "smoke", "--motions", library, "--out", out)
+    assert_refused(questsim(tmp_path, *words, script="train.py"), out)
+
+
+def test_resume_refuses_a_run_of_another_version(run_folder, library, tmp_path):
+    shutil.copytree(run_folder, tmp_path / "run")
+    record = tmp_path / "run" / "run.yaml"
+    record.write_text(yaml.safe_dump(yaml.safe_load(record.read_text()) | {"format_version": 99}))
+    words = ("--preset", "smoke", "--motions", library, "--out", "run", "--resume")
+    assert_refused(questsim(tmp_path, *words, script="train.py"), "run.yaml", "99")
+
+
+@pytest.mark.parametrize("key, value", [("format_version", 99), ("joints", ["a"])])
+def test_evaluation_refuses_a_policy_for_something_else(key, value, run_folder, library, tmp_path):
+    shutil.copytree(run_folder, tmp_path / "run")
+    cards = list((tmp_path / "run").rglob("policy.yaml"))
+    assert cards
+    for card in cards:
+        card.write_text(yaml.safe_dump(yaml.safe_load(card.read_text()) | {key: value}))
+    words = ("--agent", "run", "--motions", library, "--out", "scores")
+    assert_refused(questsim(tmp_path, *words, script="evaluate.py"), "policy.yaml", key)
+
+
+def test_evaluation_refuses_an_unknown_agent(library, tmp_path):
+    words = ("--agent", "nobody", "--motions", library, "--out", "scores")
+    assert_refused(questsim(tmp_path, *words, script="evaluate.py"), "nobody")
+
+
+def test_evaluation_refuses_an_unwritable_out(library, tmp_path):
+    (tmp_path / "file").write_text("")
+    words = ("--agent", "zero", "--motions", library, "--out", "file/scores")
+    assert_refused(questsim(tmp_path, *words, script="evaluate.py"), "file")
