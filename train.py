@@ -1,4 +1,4 @@
-"""Train a policy: ``python train.py --preset cpu --motions bandai-namco-2:train --out runs/NAME``."""
+"""Train: ``python train.py --preset cpu --motions bandai-namco-2:train --out runs/NAME``."""
 
 from __future__ import annotations
 

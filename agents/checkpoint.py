@@ -29,12 +29,11 @@ FORMAT, FORMAT_VERSION = "questsim-policy", 1
 WEIGHTS_FILE, CARD_FILE, RESUME_FILE = "policy.safetensors", "policy.yaml", "resume.pt"
 SHIPPED = Path(__file__).parent / "weights"
 
-RUN_POLICIES = ("best", "last") + tuple(
-    f"{stage}/{which}"
-    for stage in ("finetune", "student", "ppo", "teacher")
-    for which in ("best", "last")
-    if (stage, which) != ("finetune", "last")  # only a fine-tuning that helped is a result
-)
+# Of the fine-tuning only what helped is a result, so its last state is none.
+RUN_POLICIES = (
+    "best", "last", "finetune/best", "student/best", "student/last",
+    "ppo/best", "ppo/last", "teacher/best", "teacher/last",
+)  # fmt: skip
 """Where a stage and a run keep their result, best first."""
 
 
