@@ -66,7 +66,7 @@ def follow(
     root: np.ndarray,
     azimuth_deg: float,
     aspect: float,
-    fps: float,
+    smoothing_frames: float,
     margin: float = 0.84,
 ) -> list[Camera]:
     """A camera for each frame: it glides along with the root and keeps all points in the picture.
@@ -76,11 +76,12 @@ def follow(
         root: ``(T, 3)`` what to follow, metres.
         azimuth_deg: the direction of view.
         aspect: width of the picture over its height.
-        fps: frames a second, for the smoothing (half a second, both ways).
+        smoothing_frames: standard deviation of the smoothing, both ways in time; 0 for none.
         margin: the part of the picture that the points may fill.
     """
     path = np.array(root, float)
-    path[:, :2] = gaussian_filter1d(path[:, :2], 0.5 * fps, axis=0, mode="nearest")
+    if smoothing_frames > 0:
+        path[:, :2] = gaussian_filter1d(path[:, :2], smoothing_frames, axis=0, mode="nearest")
     path[:, 2] = (points[..., 2].min() + points[..., 2].max()) / 2.0
     camera = Camera(path[0], 0.0, azimuth_deg)
     right, up, forward = np.moveaxis((points - path[:, None]) @ camera.axes().T, -1, 0)

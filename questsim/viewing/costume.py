@@ -161,10 +161,12 @@ def _device_parts(spec: mujoco.MjSpec, ratio: float) -> Iterator[tuple[str, str,
     """Headset and controllers, where the model's sites are."""
     x, y, z = spec.site("headset").pos / ratio
     yield "head", "device", [
-        (x + dx, y + dy, z + dz, 0.016) for dx in (-0.045, 0.008) for dy in (-0.072, 0.072) for dz in (-0.032, 0.032)
+        (x + dx, y + dy, z + dz, 0.016)
+        for dx in (-0.045, 0.008) for dy in (-0.072, 0.072) for dz in (-0.032, 0.032)
     ]  # fmt: skip
     yield "head", "visor", [
-        (x + dx, y + dy, z + dz, 0.012) for dx in (0.0, 0.016) for dy in (-0.064, 0.064) for dz in (-0.026, 0.026)
+        (x + dx, y + dy, z + dz, 0.012)
+        for dx in (0.0, 0.016) for dy in (-0.064, 0.064) for dz in (-0.026, 0.026)
     ]  # fmt: skip
     yield "head", "visor", [(0.008, 0, z + 0.012, 0.107, 0.087, 0.015)]
     for side in ("left", "right"):
@@ -226,7 +228,7 @@ def convex_hull(blobs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     Where the hull touches an ellipsoid they share the normal, so normals are exact and the
     surface shades smoothly however long its triangles are.
     """
-    sphere = _sphere_points(220)
+    sphere = _sphere_points()
     vertices = (blobs[:, None, :3] + blobs[:, None, 3:] * sphere).reshape(-1, 3)
     normals = (sphere / blobs[:, None, 3:]).reshape(-1, 3)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
@@ -239,10 +241,19 @@ def convex_hull(blobs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return vertices[used], normals[used], faces.reshape(-1, 3).astype(np.int32)
 
 
-def _sphere_points(count: int) -> np.ndarray:
-    """Points ``(count, 3)`` spread evenly over the unit sphere (a Fibonacci lattice)."""
-    i = np.arange(count) + 0.5
-    z = 1.0 - 2.0 * i / count
-    turn = np.pi * (1.0 + 5.0**0.5) * i
-    ring = np.sqrt(1.0 - z * z)
-    return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=-1)
+def _sphere_points(around: int = 28, rings: int = 13) -> np.ndarray:
+    """Points ``(n, 3)`` on the unit sphere, in rings about z.
+
+    Rings of neighbouring shapes line up, so the hull between them is of long clean quads.
+    """
+    polar = np.linspace(0.0, np.pi, rings + 2)[1:-1, None]
+    turn = np.arange(around) * 2.0 * np.pi / around
+    ring = np.stack(np.broadcast_arrays(np.cos(turn), np.sin(turn)), axis=-1)
+    body = np.concatenate(
+        [
+            np.sin(polar)[..., None] * ring,
+            np.broadcast_to(np.cos(polar)[..., None], (rings, around, 1)),
+        ],
+        axis=-1,
+    )
+    return np.concatenate([body.reshape(-1, 3), [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]])

@@ -10,13 +10,29 @@ import numpy as np
 
 from questsim.skeleton import NUM_DOFS
 from questsim.viewing.camera import FOVY_DEG, Camera
-from questsim.viewing.costume import AVATAR, DEVICE_SITES, Look, figure_spec
+from questsim.viewing.costume import AVATAR, Look, figure_spec
 from questsim.viewing.gl import use_gl
 
 _QPOS = 7 + NUM_DOFS
 _HORIZON = (0.90, 0.92, 0.945)
 _ZENITH = (0.70, 0.77, 0.86)
-_SUN_OFFSET = np.array([0.0, 0.0, 4.0])
+_SUN_DISTANCE_M = 4.0
+
+
+@dataclass(frozen=True)
+class _Light:
+    """A directional light; ``toward`` is where it shines: right, away from the camera, up."""
+
+    name: str
+    toward: tuple[float, float, float]
+    diffuse: float
+    shadow: bool
+
+
+_LIGHTS = (
+    _Light("sun", (0.45, 0.40, -1.0), 0.45, True),
+    _Light("sky", (-0.7, 0.2, -0.6), 0.12, False),
+)
 _MARKER_SIZES = {
     "headset": (0.03, 0.085, 0.045),
     "left_controller": (0.045, 0.025, 0.025),
@@ -109,11 +125,23 @@ class SceneRenderer:
         self._renderer.update_scene(self._data, view)
         scene = self._renderer.scene
         scene.flags[mujoco.mjtRndFlag.mjRND_HAZE] = True
-        for light in scene.lights[: scene.nlight]:
-            light.pos = camera.lookat * [1, 1, 0] - 4.0 * np.array(light.dir)
+        _aim_lights(scene, camera)
         for marker in markers:
             _add_box(scene, marker)
         return self._renderer.render()
+
+
+def _aim_lights(scene: mujoco.MjvScene, camera: Camera) -> None:
+    """Turn the lights with the view: whichever way people walk, they are lit alike."""
+    right, _, forward = camera.axes()
+    forward = forward * [1.0, 1.0, 0.0] / np.linalg.norm(forward[:2])
+    for light in scene.lights[: scene.nlight]:
+        if light.headlight:
+            continue
+        across, along, up = _LIGHTS[light.id].toward
+        light.dir = across * right + along * forward + np.array([0.0, 0.0, up])
+        light.dir /= np.linalg.norm(light.dir)
+        light.pos = camera.lookat * [1.0, 1.0, 0.0] - _SUN_DISTANCE_M * np.array(light.dir)
 
 
 def scene_spec(figures: Sequence[Figure], width: int, height: int) -> mujoco.MjSpec:
@@ -130,8 +158,8 @@ def scene_spec(figures: Sequence[Figure], width: int, height: int) -> mujoco.MjS
     visual.headlight.ambient[:] = 0.42
     visual.headlight.diffuse[:] = 0.22
     visual.headlight.specular[:] = 0.0
-    _add_light(spec, "sun", (-0.35, 0.45, -1.0), 0.45, shadow=True)
-    _add_light(spec, "sky", (0.6, -0.5, -0.6), 0.12, shadow=False)
+    for light in _LIGHTS:
+        _add_light(spec, light)
     _add_sky_and_floor(spec)
     for i, figure in enumerate(figures):
         person = figure_spec(figure.height_m, figure.look, figure.devices)
@@ -145,18 +173,16 @@ def scene_spec(figures: Sequence[Figure], width: int, height: int) -> mujoco.MjS
     return spec
 
 
-def _add_light(
-    spec: mujoco.MjSpec, name: str, direction: tuple[float, ...], diffuse: float, shadow: bool
-) -> None:
+def _add_light(spec: mujoco.MjSpec, light: _Light) -> None:
     spec.worldbody.add_light(
-        name=name,
+        name=light.name,
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[0, 0, 4],
-        dir=np.array(direction) / np.linalg.norm(direction),
-        diffuse=[diffuse] * 3,
+        pos=[0.0, 0.0, _SUN_DISTANCE_M],
+        dir=[0.0, 0.0, -1.0],
+        diffuse=[light.diffuse] * 3,
         ambient=[0.0] * 3,
-        specular=[0.25 if shadow else 0.0] * 3,
-        castshadow=shadow,
+        specular=[0.25 if light.shadow else 0.0] * 3,
+        castshadow=light.shadow,
     )
 
 

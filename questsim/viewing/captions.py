@@ -1,0 +1,61 @@
+"""Words on pictures, in Pillow's own font, so that they look the same everywhere."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+Corner = Literal["top left", "top right", "bottom left", "bottom right"]
+INK, ALARM = (32, 36, 44), (196, 40, 32)
+_PAPER = (255, 255, 255, 190)
+
+
+@lru_cache(maxsize=8)
+def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """Pillow's default font, ``size`` pixels high."""
+    return ImageFont.load_default(size)
+
+
+def text_size(height: int) -> int:
+    """A legible size of letters in pixels for a picture of that height."""
+    return max(12, round(height / 26))
+
+
+def caption(
+    frame: np.ndarray, texts: dict[Corner, str], alarm: bool = False, size: int | None = None
+) -> np.ndarray:
+    """A copy of a picture with a line of text on a light label in some corners.
+
+    Args:
+        frame: ``(H, W, 3)`` uint8.
+        texts: the line for each corner; empty ones are left out.
+        alarm: whether the line at the bottom left is printed in red.
+        size: of the letters in pixels; by default to suit the picture.
+    """
+    image = Image.fromarray(frame)
+    draw = ImageDraw.Draw(image, "RGBA")
+    size = size or text_size(image.height)
+    pad, edge = size // 3, size // 2
+    for corner, text in texts.items():
+        if not text:
+            continue
+        text = _fitted(draw, text, size, image.width - 2 * (pad + edge))
+        width, height = draw.textlength(text, font(size)) + 2 * pad, 1.3 * size + pad
+        x = edge if corner.endswith("left") else image.width - edge - width
+        y = edge if corner.startswith("top") else image.height - edge - height
+        draw.rounded_rectangle((x, y, x + width, y + height), radius=pad, fill=_PAPER)
+        ink = ALARM if alarm and corner == "bottom left" else INK
+        draw.text((x + pad, y + height / 2), text, font=font(size), fill=ink, anchor="lm")
+    return np.asarray(image)
+
+
+def _fitted(draw: ImageDraw.ImageDraw, text: str, size: int, width: float) -> str:
+    """The text, cut with an ellipsis where it is wider than ``width`` pixels."""
+    if draw.textlength(text, font(size)) <= width:
+        return text
+    while text and draw.textlength(text + "...", font(size)) > width:
+        text = text[:-1]
+    return text + "..."

@@ -1,0 +1,94 @@
+"""``questsim motions show``: look at a clip."""
+
+from __future__ import annotations
+
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from questsim.errors import InputError
+from questsim.motion.clip import FPS, Clip
+from questsim.viewing.films import clip_frames, rollout_video
+from questsim.viewing.gl import find_gl, missing_gl
+from questsim.viewing.video import write_video
+
+__all__ = ["ShowArgs", "rollout_video", "show_clip"]
+
+
+@dataclass(frozen=True)
+class ShowArgs:
+    """Draw a clip: a contact sheet PNG and an MP4."""
+
+    clip: Annotated[str, tyro.conf.Positional]
+    """A clip's name in --motions, or a library, BVH or npz file."""
+    motions: str = "synthetic"
+    """Where to look the name up: synthetic, a dataset, a library file or a folder."""
+    out: Path = Path("shown")
+    """The folder for the PNG and the MP4."""
+    video: bool = True
+    """Whether to make the MP4."""
+    columns: int = 8
+    """Pictures in a row of the contact sheet."""
+    width: int = 640
+    """Of the video in pixels."""
+    height: int = 480
+    """Of the video in pixels."""
+    stride: int = 1
+    """Film every n-th frame; the video keeps its speed."""
+
+
+def show_clip(args: ShowArgs) -> None:
+    """Write OUT/CLIP.png and OUT/CLIP.mp4, and print their names.
+
+    Without an OpenGL library the contact sheet has stick figures and one line on stderr says what
+    to install for the video.
+
+    Raises:
+        InputError: there is no such clip, or an option is out of range.
+    """
+    from questsim.viewing.contact_sheet import contact_sheet
+
+    for name, least in (("columns", 1), ("stride", 1), ("width", 64), ("height", 64)):
+        if getattr(args, name) < least:
+            raise InputError(f"is {getattr(args, name)}, not at least {least}", f"--{name}")
+    clips = find_clips(args.clip, args.motions)
+    for clip in clips:
+        base = args.out / file_name(clip.name)
+        sheet, film = base.with_name(f"{base.name}.png"), base.with_name(f"{base.name}.mp4")
+        contact_sheet(clip, sheet, args.columns)
+        print(sheet)
+        if args.video and find_gl():
+            frames = clip_frames(clip, args.width, args.height, args.stride)
+            write_video(film, frames, FPS / args.stride)
+            print(film)
+    if args.video and not find_gl():
+        print(f"video skipped: {missing_gl()}", file=sys.stderr)
+
+
+def find_clips(name: str, motions: str) -> list[Clip]:
+    """The clip called ``name`` in a motion argument, or the clips of the file ``name``.
+
+    Raises:
+        InputError: there is none.
+    """
+    from questsim.motion.spec import load_motions
+
+    if Path(name).is_file():
+        return load_motions(name)
+    clips = load_motions(motions)
+    found = [clip for clip in clips if clip.name == name]
+    if not found:
+        similar = sorted(clip.name for clip in clips if name.lower() in clip.name.lower())
+        shown = similar or sorted(clip.name for clip in clips)
+        hint = ", ".join(shown[:5]) + (", ..." if len(shown) > 5 else "")
+        raise InputError(f"no clip {name!r} and no such file", motions, f"it has {hint}")
+    return found
+
+
+def file_name(name: str) -> str:
+    """A clip's name with only such characters as every file system takes."""
+    return re.sub(r"[^\w.+-]+", "_", name).strip(".") or "clip"

@@ -1,0 +1,233 @@
+"""The pictures of a clip, and those of rollouts: the avatar beside the person it follows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from questsim.body import DEFAULT_HEIGHT_M
+from questsim.metrics import Rollout
+from questsim.metrics_terms import mpjpe_cm
+from questsim.motion.clip import FPS, Clip
+from questsim.viewing.camera import Camera, follow, three_quarter_azimuth
+from questsim.viewing.captions import caption
+from questsim.viewing.costume import REFERENCE
+from questsim.viewing.outline import outline_points
+from questsim.viewing.render import Figure, SceneRenderer
+from questsim.viewing.video import write_video
+
+Layout = Literal["beside", "ghost"]
+_BESIDE_M = 1.05  # between two people of 1.75 m
+_GHOST_OPACITY = 0.35
+LEGEND = "orange: avatar   blue: its user"
+_HOLD_S = 0.7  # how long the last picture of a page stays
+
+
+def clip_frames(
+    clip: Clip, width: int = 640, height: int = 480, stride: int = 1
+) -> Iterator[np.ndarray]:
+    """Pictures ``(height, width, 3)`` of every ``stride``-th frame of a clip, with captions.
+
+    Raises:
+        NoGLError: there is no OpenGL library to render with.
+    """
+    cameras = clip_cameras(clip, width / height)
+    with SceneRenderer([Figure(clip.height_m)], width, height) as renderer:
+        for frame in range(0, len(clip), stride):
+            picture = renderer.render([clip.qpos[frame]], cameras[frame])
+            time = f"{frame / FPS:.2f} s"
+            yield caption(picture, {"top left": title(clip), "bottom left": time})
+
+
+def clip_cameras(clip: Clip, aspect: float, smoothing_s: float = 0.5) -> list[Camera]:
+    """A camera for each frame of a clip, for pictures of that width over height."""
+    return follow(
+        outline_points(clip.link_position, clip.link_quat, clip.height_m),
+        clip.qpos[:, :3],
+        three_quarter_azimuth(clip.qpos[:, 3:7]),
+        aspect,
+        smoothing_frames=smoothing_s * FPS,
+    )
+
+
+def title(clip: Clip) -> str:
+    """A clip's name, kind and height in one line."""
+    about = " ".join(word for word in (clip.style, clip.kind) if word and word not in clip.name)
+    return "  ".join(part for part in (clip.name, about, f"{clip.height_m:.2f} m") if part)
+
+
+@dataclass(frozen=True)
+class _Shot:
+    """What the pictures of one rollout need, worked out once."""
+
+    rollout: Rollout
+    avatar: np.ndarray  # (F, 40)
+    person: np.ndarray  # (F, 40), moved aside
+    aside: np.ndarray  # (3,) metres
+    error_cm: np.ndarray  # (F,)
+    cameras: list[Camera]
+
+    def __len__(self) -> int:
+        return len(self.avatar)
+
+
+def _shot(rollout: Rollout, aspect: float, layout: Layout) -> _Shot:
+    clip, frames = rollout.reference, len(rollout.link_position)
+    azimuth = three_quarter_azimuth(clip.qpos[:frames, 3:7])
+    aside = np.zeros(3)
+    if layout == "beside":
+        right = Camera(np.zeros(3), 1.0, azimuth).axes()[0]
+        aside = right * _BESIDE_M * rollout.height_m / DEFAULT_HEIGHT_M
+    position, quat = clip.link_position[:frames], clip.link_quat[:frames]
+    points = [
+        outline_points(rollout.link_position, rollout.link_quat, rollout.height_m),
+        outline_points(position + aside, quat, rollout.height_m),
+    ]
+    person = clip.qpos[:frames].copy()
+    person[:, :3] += aside
+    return _Shot(
+        rollout=rollout,
+        avatar=rollout_qpos(rollout),
+        person=person,
+        aside=aside,
+        error_cm=mpjpe_cm(rollout.link_position, position),
+        cameras=follow(
+            np.concatenate(points, axis=1),
+            clip.qpos[:frames, :3] + aside / 2.0,
+            azimuth,
+            aspect,
+            smoothing_frames=0.5 * rollout.fps,
+        ),
+    )
+
+
+def rollout_qpos(rollout: Rollout) -> np.ndarray:
+    """The avatar's ``qpos`` ``(F, 40)``: the pelvis is the root, then the joint angles."""
+    return np.concatenate(
+        [rollout.link_position[:, 0], rollout.link_quat[:, 0], rollout.joint_angles], axis=-1
+    )
+
+
+def _picture(renderer: SceneRenderer, shot: _Shot, frame: int, legend: str) -> np.ndarray:
+    """One tile: the avatar with the user's devices as markers, the person, the captions."""
+    markers = renderer.device_markers(shot.person[frame], 1, -shot.aside)
+    picture = renderer.render(
+        [shot.avatar[frame], shot.person[frame]], shot.cameras[frame], markers
+    )
+    rollout = shot.rollout
+    fell = rollout.fell and frame == len(shot) - 1
+    state = f"fell after {frame / rollout.fps:.1f} s" if fell else f"{frame / rollout.fps:.1f} s"
+    return caption(
+        picture,
+        {
+            "top left": title(rollout.reference),
+            "bottom left": f"{state}   error {shot.error_cm[frame]:.1f} cm",
+            "bottom right": legend,
+        },
+        alarm=fell,
+    )
+
+
+def rollout_frames(
+    rollouts: Sequence[Rollout],
+    width: int = 1280,
+    height: int = 720,
+    columns: int = 2,
+    stride: int = 2,
+    max_seconds: float = 10.0,
+    layout: Layout = "beside",
+) -> Iterator[np.ndarray]:
+    """Pictures ``(height, width, 3)`` of a page of rollouts that play at the same time.
+
+    The avatar is warm in colour, the person that it follows is blue; the blue boxes on the
+    avatar are where the person's headset and controllers are. A rollout that is over stays.
+
+    Raises:
+        NoGLError: there is no OpenGL library to render with.
+    """
+    columns = min(columns, len(rollouts))
+    rows = -(-len(rollouts) // columns)
+    tile_width, tile_height = width // columns, height // rows
+    shots = [_shot(rollout, tile_width / tile_height, layout) for rollout in rollouts]
+    heights = sorted({rollout.height_m for rollout in rollouts})
+    person = REFERENCE if layout == "beside" else REFERENCE.faded(_GHOST_OPACITY)
+    renderers: dict[float, SceneRenderer] = {}
+    try:
+        for h in heights:
+            figures = [Figure(h, devices=False), Figure(h, person, devices=layout == "beside")]
+            renderers[h] = SceneRenderer(figures, tile_width, tile_height)
+        page = np.full((height, width, 3), 255, np.uint8)
+        fps = rollouts[0].fps
+        seconds = min(max(len(shot) for shot in shots), round(max_seconds * fps))
+        drawn = [-1] * len(shots)
+        for frame in range(0, seconds + round(_HOLD_S * fps), stride):
+            for i, shot in enumerate(shots):
+                now = min(frame, len(shot) - 1, seconds - 1)
+                if now == drawn[i]:
+                    continue
+                drawn[i] = now
+                x, y = i % columns * tile_width, i // columns * tile_height
+                tile = _picture(renderers[shot.rollout.height_m], shot, now, "" if i else LEGEND)
+                page[y : y + tile_height, x : x + tile_width] = tile
+            yield page.copy()
+    finally:
+        for renderer in renderers.values():
+            renderer.close()
+
+
+def rollout_video(
+    rollouts: Sequence[Rollout],
+    path: str | Path,
+    *,
+    max_clips: int = 4,
+    width: int = 1280,
+    height: int = 720,
+    columns: int = 2,
+    stride: int = 2,
+    max_seconds: float = 10.0,
+    layout: Layout = "beside",
+) -> Path:
+    """Film rollouts, four to a page, page after page: the avatar beside the person it follows.
+
+    Args:
+        rollouts: what evaluation produced.
+        path: the MP4.
+        max_clips: how many are filmed: the first of each kind, then the second of each ...
+        width: of the video in pixels.
+        height: of the video in pixels.
+        columns: pictures side by side; two rows make a page.
+        stride: show every n-th frame; the film keeps its speed.
+        max_seconds: the longest that a page plays.
+        layout: ``"beside"``, or ``"ghost"``: the person see-through at the same place.
+
+    Returns:
+        The path.
+
+    Raises:
+        NoGLError: there is no OpenGL library to render with.
+        OSError: the folder cannot be written.
+    """
+    chosen = one_of_each_kind(rollouts, max_clips)
+    size = 2 * columns
+    pages = [chosen[i : i + size] for i in range(0, len(chosen), size)]
+    frames = chain.from_iterable(
+        rollout_frames(page, width, height, columns, stride, max_seconds, layout) for page in pages
+    )
+    fps = rollouts[0].fps if rollouts else FPS
+    write_video(path, frames, fps / stride)
+    return Path(path)
+
+
+def one_of_each_kind(rollouts: Sequence[Rollout], count: int) -> list[Rollout]:
+    """``count`` rollouts: the first of each kind, then the second of each, and so on."""
+    by_kind: dict[str, list[Rollout]] = {}
+    for rollout in rollouts:
+        by_kind.setdefault(rollout.kind, []).append(rollout)
+    longest = max(map(len, by_kind.values()), default=0)
+    turns = [group[i] for i in range(longest) for group in by_kind.values() if i < len(group)]
+    return turns[:count]

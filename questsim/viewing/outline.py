@@ -1,0 +1,85 @@
+"""The figure as points and lines: to frame it in a picture, and to draw it without OpenGL."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from questsim import rotations as rot
+from questsim.body import DEFAULT_HEIGHT_M
+from questsim.skeleton import LINK_PARENTS, LINKS
+from questsim.viewing.camera import Camera
+
+# Ends of the figure that are not the beginning of a link: metres of the 1.75 m body.
+_TIPS: tuple[tuple[str, tuple[float, float, float]], ...] = (
+    ("head", (0.03, 0.0, 0.28)),
+    ("head", (0.13, 0.0, 0.17)),
+    ("left_hand", (0.0, 0.0, -0.17)),
+    ("right_hand", (0.0, 0.0, -0.17)),
+    ("left_foot", (0.18, 0.0, -0.065)),
+    ("right_foot", (0.18, 0.0, -0.065)),
+    ("left_foot", (-0.06, 0.0, -0.065)),
+    ("right_foot", (-0.06, 0.0, -0.065)),
+)
+_COLOURS = {"left": (42, 111, 196), "right": (214, 88, 40), "": (60, 66, 78)}
+
+
+def outline_points(position: np.ndarray, quat: np.ndarray, height_m: float) -> np.ndarray:
+    """Link origins and tips ``(T, 24, 3)`` of link positions ``(T, 16, 3)`` and quaternions."""
+    links = [LINKS.index(link) for link, _ in _TIPS]
+    offsets = np.array([tip for _, tip in _TIPS]) * height_m / DEFAULT_HEIGHT_M
+    tips = position[:, links] + rot.quat_rotate(quat[:, links], offsets)
+    return np.concatenate([position, tips], axis=1)
+
+
+def _bones() -> list[tuple[int, int, str]]:
+    """Pairs of indices into the outline, and the side of the body that each is on."""
+    pairs = [(p, i, LINKS[i]) for i, p in enumerate(LINK_PARENTS) if p != i]
+    pairs += [(LINKS.index(link), len(LINKS) + i, link) for i, (link, _) in enumerate(_TIPS)]
+    return [(a, b, link.split("_")[0] if "_" in link else "") for a, b, link in pairs]
+
+
+def stick_picture(points: np.ndarray, camera: Camera, width: int, height: int) -> np.ndarray:
+    """A stick figure ``(height, width, 3)`` uint8 over the metre grid: left blue, right red.
+
+    Args:
+        points: ``(24, 3)`` of ``outline_points``.
+        camera: the view.
+        width: of the picture in pixels.
+        height: of the picture in pixels.
+    """
+    over = 2  # drawn twice as large and reduced, for smooth lines
+    image = Image.new("RGB", (width * over, height * over), (244, 246, 249))
+    draw = ImageDraw.Draw(image)
+    _draw_grid(draw, camera, *image.size)
+    pixels = camera.project(points, *image.size)
+    shadow = camera.project(points * [1.0, 1.0, 0.0], *image.size)
+    thick = max(2, round(image.height / camera.distance / 45))
+    for a, b, _ in _bones():
+        draw.line([*shadow[a], *shadow[b]], fill=(205, 209, 216), width=thick)
+    depth = points @ camera.axes()[2]
+    for a, b, side in sorted(_bones(), key=lambda bone: -(depth[bone[0]] + depth[bone[1]])):
+        draw.line([*pixels[a], *pixels[b]], fill=_COLOURS[side], width=2 * thick)
+        for x, y in (pixels[a], pixels[b]):
+            draw.ellipse((x - thick, y - thick, x + thick, y + thick), fill=_COLOURS[side])
+    x, y = (pixels[LINKS.index("head")] + pixels[len(LINKS)]) / 2.0
+    r = 4.5 * thick
+    draw.ellipse((x - 0.8 * r, y - r, x + 0.8 * r, y + r), fill=_COLOURS[""])
+    return np.asarray(image.reduce(over))
+
+
+def _draw_grid(draw: ImageDraw.ImageDraw, camera: Camera, width: int, height: int) -> None:
+    centre = np.round(camera.lookat[:2])
+    for k in range(-4, 5):
+        for line in (
+            [[centre[0] + k, centre[1] - 4, 0], [centre[0] + k, centre[1] + 4, 0]],
+            [[centre[0] - 4, centre[1] + k, 0], [centre[0] + 4, centre[1] + k, 0]],
+        ):
+            # Short pieces, so that only those behind the camera are left out.
+            ends = np.linspace(line[0], line[1], 33)
+            pixels = camera.project(ends, width, height)
+            for a, b in pairwise(pixels):
+                if np.isfinite([a, b]).all() and np.abs([a, b]).max() < 1e5:
+                    draw.line([*a, *b], fill=(208, 212, 219), width=2)

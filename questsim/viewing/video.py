@@ -1,0 +1,79 @@
+"""MP4 files from pictures."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from itertools import chain
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+
+import imageio_ffmpeg
+import numpy as np
+
+from questsim.errors import InputError
+
+
+def write_video(
+    path: str | Path, frames: Iterable[np.ndarray], fps: float = 36.0, quality: int = 7
+) -> int:
+    """Write an MP4 that every browser plays: H.264, 4:2:0, even sizes.
+
+    The file appears under its name only when it is complete.
+
+    Args:
+        path: where to; its folder is made.
+        frames: pictures ``(H, W, 3)`` uint8, all of one size; an odd last row or column is cut.
+        fps: frames a second.
+        quality: 0 to 10.
+
+    Returns:
+        The number of frames.
+
+    Raises:
+        InputError: there are no frames, or they differ in size.
+        OSError: the folder cannot be written.
+    """
+    path = Path(path)
+    frames = iter(frames)
+    first = next(frames, None)
+    if first is None:
+        raise InputError("a video needs at least one frame", path)
+    shape = first.shape
+    height, width = shape[0] // 2 * 2, shape[1] // 2 * 2
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with NamedTemporaryFile(dir=path.parent, prefix=".video-", suffix=".mp4", delete=False) as file:
+        partial = Path(file.name)
+    writer = imageio_ffmpeg.write_frames(
+        str(partial),
+        (width, height),
+        fps=fps,  # pyright: ignore[reportArgumentType]  # ffmpeg takes fractions
+        codec="libx264",
+        pix_fmt_out="yuv420p",
+        quality=quality,
+        macro_block_size=2,
+        ffmpeg_log_level="error",
+        output_params=["-movflags", "+faststart"],
+    )
+    count = 0
+    try:
+        writer.send(None)
+        for frame in chain([first], frames):
+            if frame.shape != shape:
+                raise InputError(f"frame {count} is {frame.shape}, the first is {shape}", path)
+            writer.send(np.ascontiguousarray(frame[:height, :width]))
+            count += 1
+        writer.close()
+        # Temporary files are private; a video is for those who may read its folder.
+        partial.chmod(0o666 & ~_umask())
+        partial.replace(path)
+    finally:
+        writer.close()
+        partial.unlink(missing_ok=True)
+    return count
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
