@@ -187,9 +187,9 @@ def squat(time: np.ndarray, seconds: float, rng: np.random.Generator) -> Gesture
     hand = _points(0.93, -0.05, -0.12, frames=len(time))
     arms = (reach(hand, 0, turn=0.3), reach(hand, 1, turn=0.3))
     chest, head, crouch = _still(time)
-    chest[:, 1] = np.deg2rad(34.0) * depth
+    chest[:, 1] = np.deg2rad(36.0) * depth
     head[:, 1] = np.deg2rad(8.0) * depth
-    return Gesture(arms, depth, chest, head, rng.uniform(0.26, 0.36) * depth, 0.30)
+    return Gesture(arms, depth, chest, head, rng.uniform(0.24, 0.32) * depth, 0.30)
 
 
 GESTURES: dict[str, Callable[[np.ndarray, float, np.random.Generator], Gesture]] = {

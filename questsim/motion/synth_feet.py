@@ -18,18 +18,28 @@ from questsim.body import build_body
 
 CLEARANCE_M = 0.012
 """A swinging foot passes the floor at least this high (Winter 1992: toes clear by 1-2 cm)."""
-BRAKING = 6.0
+BRAKING = 4.0
 """Deceleration at touch-down, in step lengths per squared swing time (min-jerk would be 0)."""
+HANG_S = 0.07
+"""After toe-off and before touch-down the foot rolls in line with the leg, or level, this fast."""
 _STEP = 1e-3
 
 
 @dataclass(frozen=True)
 class Feet:
-    """Both feet over time: ``ankle`` ``(2, T, 3)``, ``yaw`` and ``pitch`` ``(2, T)``, radians."""
+    """Both feet over time.
+
+    Attributes:
+        ankle: ``(2, T, 3)`` in metres.
+        yaw, pitch: ``(2, T)`` in radians, heel up is positive.
+        hanging: ``(2, T)`` 0 where the sole stays level sideways, 1 where the foot hangs in line
+            with the leg.
+    """
 
     ankle: np.ndarray
     yaw: np.ndarray
     pitch: np.ndarray
+    hanging: np.ndarray
 
 
 @lru_cache(maxsize=1)
@@ -47,7 +57,8 @@ def sole_shape() -> tuple[float, float, float, float]:
 
 def feet_paths(steps: Steps, gait: Gait, time: np.ndarray) -> Feet:
     """Positions and attitudes of both feet at the times ``(T,)``."""
-    feet = Feet(np.zeros((2, len(time), 3)), np.zeros((2, len(time))), np.zeros((2, len(time))))
+    level = np.zeros((2, len(time)))
+    feet = Feet(np.zeros((2, len(time), 3)), level.copy(), level.copy(), level)
     shape = swing_shape(gait.jog)
     for foot in range(2):
         stances = steps.stances[foot]
@@ -59,6 +70,8 @@ def feet_paths(steps: Steps, gait: Gait, time: np.ndarray) -> Feet:
             on = (time > a.lift) & (time < b.touch)
             ankle, yaw, pitch = _swing(a, b, shape, gait, time[on])
             feet.ankle[foot, on], feet.yaw[foot, on], feet.pitch[foot, on] = ankle, yaw, pitch
+            to_end = np.minimum(time[on] - a.lift, b.touch - time[on])
+            feet.hanging[foot, on] = smoothstep(to_end / HANG_S)
         _hold_ends(feet, stances, time, foot)
     return feet
 
@@ -80,7 +93,7 @@ def stance_pose(s: Stance, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Ankle ``(T, 3)`` and pitch ``(T,)`` of a standing foot."""
     strike = s.strike_pitch * (1.0 - smoothstep((time - s.touch) / s.flat_s))
     rise = np.clip(1.0 - (s.lift - time) / s.rise_s, 0.0, None)
-    pitch = strike + s.push_pitch * rise**2.2
+    pitch = strike + s.push_pitch * rise**2.4
     ahead, up = _roll(pitch)
     direction = np.array([np.cos(s.yaw), np.sin(s.yaw)])
     ankle = np.concatenate([s.ankle + ahead[:, None] * direction, up[:, None]], axis=-1)

@@ -17,6 +17,8 @@ COP_HEEL_M, COP_MID_M, COP_BALL_M = 0.04, 0.125, 0.145
 """Centre of pressure ahead of the ankle at touch-down, in mid-stance and at toe-off."""
 COP_STANDING_M = 0.05
 """The same when standing (Winter 1995, "Human balance and posture control")."""
+STANDING_WIDTH_M = 0.17
+"""Between the ankles of a person who stands before or after walking."""
 LAST_STEP_M, LAST_TURN = 0.03, np.deg2rad(6.0)
 """A foot this close to where the path ends takes no further step."""
 
@@ -107,7 +109,12 @@ def standing(ankles: np.ndarray, yaws: np.ndarray, frames: int) -> Steps:
 
 
 def plan_steps(
-    path: Path, gait: Gait, start: float | None, stop: float | None, phase: float = 0.0
+    path: Path,
+    gait: Gait,
+    start: float | None,
+    stop: float | None,
+    phase: float = 0.0,
+    first: int = 1,
 ) -> Steps:
     """Footfalls along a path.
 
@@ -120,8 +127,9 @@ def plan_steps(
         start: when the first foot leaves the floor, or None: walking from the beginning.
         stop: when the path ends, or None: walking to the end.
         phase: where in the stride a clip that begins in mid-walk begins, 0 to 1.
+        first: the foot that takes the first step, 0 left, 1 right.
     """
-    strides = _phase(path, gait, start) + (phase if start is None else 0.0)
+    strides = _phase(path, gait, start) + (phase if start is None else 0.5 * (first - 1))
     amount = np.array([path.amount(t) for t in path.time])
     left, right = (_foot_stances(path, gait, strides, foot, start, stop) for foot in range(2))
     return Steps((left, right), strides, amount)
@@ -149,7 +157,9 @@ def _foot_stances(
     swings = _swings(path, gait, phase, foot, start)
     if stop is not None:
         earlier = [-FOREVER] + [touch for _, touch in swings]
-        still = [_arrived(path, touch, lift) for touch, (lift, _) in zip(earlier, swings)]
+        still = [
+            _arrived(path, touch, lift) for touch, (lift, _) in zip(earlier, swings, strict=False)
+        ]
         swings = swings[: still.index(True)] if True in still else swings
     lifts = [lift for lift, _ in swings] + [FOREVER]
     touches = [-FOREVER] + [touch for _, touch in swings]
@@ -189,23 +199,38 @@ def _place(path: Path, gait: Gait, foot: int, touch: float, lift: float) -> Stan
     middle = float(np.clip(0.5 * (touch + lift), path.time[0], path.time[-1]))
     position, heading = path.at(middle)
     side = 1.0 if foot == 0 else -1.0
-    lateral = np.abs(path.velocity[:, 1]).max() * gait.stride_s / 2.0
-    # Side steps need room for the trailing foot to close without crossing.
-    offset = np.array([-_middle_pressure(touch, lift), side * (gait.step_width_m + lateral) / 2.0])
+    offset = np.array(
+        [-_middle_pressure(touch, lift), side * _apart(path, gait, touch, lift) / 2.0]
+    )
     cos, sin = np.cos(heading), np.sin(heading)
     ankle = position + np.array([[cos, -sin], [sin, cos]]) @ offset
-    forward = abs(np.interp(middle, path.time, path.velocity[:, 0]))
-    share = np.clip(forward / max(np.abs(path.velocity[:, 0]).max(), 0.3), 0.0, 1.0)
     return Stance(
         touch=touch,
         lift=lift,
         ankle=ankle,
         yaw=heading + side * gait.toe_out,
-        strike_pitch=gait.strike_pitch * share,
-        push_pitch=gait.push_pitch * (0.2 + 0.8 * share),
+        strike_pitch=gait.strike_pitch * _forward_share(path, touch),
+        push_pitch=gait.push_pitch * (0.25 + 0.75 * _forward_share(path, lift)),
         flat_s=gait.flat_share * gait.stride_s,
         rise_s=gait.rise_share * gait.stride_s,
     )
+
+
+def _apart(path: Path, gait: Gait, touch: float, lift: float) -> float:
+    """Distance of the feet's paths in metres around a stance."""
+    if np.isinf(lift - touch):
+        return max(STANDING_WIDTH_M, gait.step_width_m)
+    # Side steps need room for the trailing foot to close without crossing.
+    aside = abs(np.interp(0.5 * (touch + lift), path.time, path.velocity[:, 1]))
+    return gait.step_width_m + aside * gait.stride_s / 2.0
+
+
+def _forward_share(path: Path, time: float) -> float:
+    """Forward speed at a time against the clip's greatest; 0 where a clip stands."""
+    if np.isinf(time):
+        return 0.0
+    greatest = max(np.abs(path.velocity[:, 0]).max(), 0.3)
+    return float(abs(np.interp(time, path.time, path.velocity[:, 0])) / greatest)
 
 
 def smoothstep(x: np.ndarray | float) -> np.ndarray:

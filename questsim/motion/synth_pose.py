@@ -106,7 +106,10 @@ def solve(posture: Posture, root: np.ndarray, feet: Feet) -> np.ndarray:
 def _leg(hip: np.ndarray, pelvis: Rotation, feet: Feet, foot: int) -> np.ndarray:
     """``(T, 6)`` angles of a leg: three of the hip, knee, two of the ankle, in closed form."""
     thigh, shank, _ = leg_lengths()
-    attitude = Rotation.from_euler("ZY", np.stack([feet.yaw[foot], feet.pitch[foot]], axis=-1))
+    yaw, pitch = feet.yaw[foot], feet.pitch[foot]
+    seen = Rotation.from_euler("Z", -yaw[:, None]).apply(hip - feet.ankle[foot])
+    roll = feet.hanging[foot] * np.arctan2(-seen[:, 1], seen[:, 2])
+    attitude = Rotation.from_euler("ZXY", np.stack([yaw, roll, pitch], axis=-1))
     to_hip = attitude.inv().apply(hip - feet.ankle[foot])
     distance = np.minimum(np.linalg.norm(to_hip, axis=-1), (thigh + shank) * (1.0 - 1e-6))
     cos_knee = (distance**2 - thigh**2 - shank**2) / (2.0 * thigh * shank)

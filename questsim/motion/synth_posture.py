@@ -77,7 +77,7 @@ def _swinging(
     rest = REST_ELBOW * (1.0 - ready)
     elbow = rest + gait.elbow_mean * ready - gait.elbow_swing * swing * np.cos(wave - 0.5)
     abduction = REST_ABDUCTION + (gait.abduction - REST_ABDUCTION) * ready
-    inward = np.deg2rad(12.0) + (np.deg2rad(18.0) * ready if gait.jog else 0.0)
+    inward = np.deg2rad(12.0) + (np.deg2rad(10.0) * ready if gait.jog else 0.0)
     return arm(flexion, abduction, inward + np.zeros_like(elbow), elbow, side)
 
 

@@ -34,6 +34,8 @@ MIN_SYNTHETIC_HEIGHT_M, MAX_SYNTHETIC_HEIGHT_M = 1.4, 2.0
 MIN_SECONDS, MAX_SECONDS = 2.0, 60.0
 MARGIN_S = 2.5
 """A clip that begins or ends in mid-walk is made this much longer and cut."""
+SHUFFLE_STRIDE_S = 1.1
+"""Duration of a stride of side steps and turns on the spot."""
 
 _SPEEDS: dict[str, tuple[float, float, float]] = {
     "walk": (MIN_SPEED, 1.3, MAX_WALK),
@@ -235,16 +237,22 @@ def _travel(
     # Turning at a jog is jogging; side steps and turns on the spot are short walking steps.
     jog = wish.kind == "jog" or forward > MAX_WALK
     gait = _personal(gait_at(pace, _hip_height(), jog), rng)
+    if abs(forward) < 0.2:
+        # Side steps and turns on the spot: quick, short and flat-footed.
+        gait = replace(gait, stride_s=SHUFFLE_STRIDE_S, push_pitch=np.deg2rad(35.0), bob_m=0.008)
+    first = int(rng.random() < 0.5)
+    if left != 0.0 or forward == 0.0:
+        first = 0 if left + turn > 0.0 else 1
     begin = rng.uniform(0.45, 0.7) if wish.start else None
     end = wish.seconds - rng.uniform(0.8, 1.0) if wish.stop else None
-    ramp = 0.6 + 0.7 * pace
+    ramp = 0.7 + 0.85 * pace
     share = np.ones(len(time))
     if begin is not None:
         share = share * smoothstep((time - begin) / ramp)
     if end is not None:
         share = share * smoothstep((end - time) / ramp)
     path = Path(time, share[:, None] * np.array([forward, left]), share * turn)
-    steps = plan_steps(path, gait, begin, end, float(rng.random()))
+    steps = plan_steps(path, gait, begin, end, float(rng.random()), first)
     feet = feet_paths(steps, gait, time)
     _, cop = loads(steps, gait, time)
     posture = locomotion(path, steps, gait)
