@@ -110,7 +110,7 @@ def import_motions(args: ImportArgs) -> None:
 def _read(files: Sequence[Path], options: ReadOptions) -> list[Retargeted]:
     """All files, read and retargeted; says of the first ones how they were taken."""
     done = []
-    for index, result in enumerate(read_many(files, options)):
+    for index, result in enumerate(read_many(files, options, with_error=True)):
         if index < MAX_REPORTS:
             print(f"{result.motion.name}: {len(result.motion)} frames, {result.report}")
         elif index == MAX_REPORTS:
@@ -150,12 +150,9 @@ def _summary(clips: Sequence[Clip]) -> str:
 
 
 def _refuse_twins(clips: Sequence[Clip]) -> None:
-    names = [clip.name for clip in clips]
-    twins = (
-        {name for name in names if names.count(name) > 1} if len(set(names)) < len(names) else ()
-    )
+    twins = [name for name, count in Counter(c.name for c in clips).items() if count > 1]
     if twins:
-        raise InputError(f"two files are called {min(twins)}", fix="rename one or import it alone")
+        raise InputError(f"two motions are called {twins[0]}", fix="rename one or leave it out")
 
 
 def _print_errors(done: Sequence[Retargeted]) -> None:

@@ -93,7 +93,7 @@ def load_recordings(
 
 @dataclass(frozen=True)
 class Retargeted:
-    """What ``read_and_retarget`` makes of a file."""
+    """What ``read_and_retarget`` makes of a file; ``error_cm`` is by joint, if asked for."""
 
     motion: Motion
     clip: Clip
@@ -101,18 +101,21 @@ class Retargeted:
     error_cm: dict[str, float]
 
 
-def read_and_retarget(path: Path, options: ReadOptions) -> Retargeted:
+def read_and_retarget(path: Path, options: ReadOptions, with_error: bool = False) -> Retargeted:
     """Reads, checks and retargets one file."""
     from questsim.motion.retarget import retargeting_error, to_clip
 
     motion, report = read_motion(path, options)
     clip = to_clip(motion)
-    return Retargeted(motion, clip, str(report), retargeting_error(motion, clip))
+    error = retargeting_error(motion, clip) if with_error else {}
+    return Retargeted(motion, clip, str(report), error)
 
 
-def read_many(paths: Sequence[Path], options: ReadOptions) -> Iterable[Retargeted]:
+def read_many(
+    paths: Sequence[Path], options: ReadOptions, *, with_error: bool = False
+) -> Iterable[Retargeted]:
     """Reads and retargets files in order; many of them on two processes."""
-    task = partial(read_and_retarget, options=options)
+    task = partial(read_and_retarget, options=options, with_error=with_error)
     if len(paths) < MANY:
         yield from map(task, paths)
         return
