@@ -16,7 +16,7 @@ import numpy as np
 import torch
 import yaml
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 
 from agents.agent import Needs, PolicyAgent, Tracker, new_policy
 from agents.policy import ACTIVATIONS, TorquePolicy
@@ -61,7 +61,7 @@ def save_policy(
         for name, tensor in policy.state_dict().items()
         if not name.startswith("critic.")
     }
-    save_file(weights, fresh / WEIGHTS_FILE)
+    (fresh / WEIGHTS_FILE).write_bytes(save(weights))
     card = describe(policy, needs) | {"training": training}
     (fresh / CARD_FILE).write_text(yaml.safe_dump(card, sort_keys=False), encoding="utf-8")
     if resume is not None:

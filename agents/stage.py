@@ -128,7 +128,7 @@ class Stage:
             TrainingError: if a loss or reward is not finite; the last checkpoint is kept.
         """
         learner, budget = self.learner, self.budget
-        if budget.progress(learner.num_timesteps) >= 1:
+        if budget.progress(learner.num_timesteps) >= 1 and self._is_evaluated():
             return
         monitor = Monitor(self.env, self.folder / "tensorboard")
         if not self.history:
@@ -145,10 +145,13 @@ class Stage:
                 self._evaluate(monitor, display)
                 self._save_last()
                 due = self._next_evaluation()
-        if not stopper.requested and self.history[-1]["steps"] != learner.num_timesteps:
+        if not stopper.requested and not self._is_evaluated():
             self._evaluate(monitor, display)
         self._save_last()
         monitor.close()
+
+    def _is_evaluated(self) -> bool:
+        return bool(self.history) and self.history[-1]["steps"] == self.learner.num_timesteps
 
     def _next_evaluation(self) -> int:
         return (self.learner.num_timesteps // self.evaluate_every + 1) * self.evaluate_every
@@ -176,12 +179,13 @@ class Stage:
         better = followed.score > self.best_score and np.isfinite(followed.score)
         if better:
             self.best_score = followed.score
+        keep = better and not (first and self.must_improve)
         display.say(
             f"{self.name}: {learner.num_timesteps / 1e6:.2f} M steps, {minutes:.1f} min: "
             f"tracked {100 * followed.tracked:.0f} %, score {followed.score:.3f}, "
-            f"link error {followed.error_cm:.1f} cm" + (" (best)" if better else "")
+            f"link error {followed.error_cm:.1f} cm" + (" (best)" if keep else "")
         )
-        if better and not (first and self.must_improve):
+        if keep:
             save_policy(self.folder / "best", learner.policy, self.needs, self._card())
 
     def _card(self) -> dict[str, Any]:
