@@ -43,7 +43,7 @@ _JOG = {
 }
 
 
-def _periodic(points: dict[int, float]) -> CubicSpline:
+def _periodic(points: dict[int, int]) -> CubicSpline:
     percent = np.array([*points, 100.0]) / 100.0
     degrees = np.array([*points.values(), points[0]], float)
     return CubicSpline(percent, np.deg2rad(degrees), bc_type="periodic")

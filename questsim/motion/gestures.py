@@ -169,7 +169,7 @@ def boxing(time: np.ndarray, seconds: float, rng: np.random.Generator) -> Gestur
     for side in range(2):
         hand = guard + out[side][:, None] * (punch - guard)
         arms.append(reach(hand, side, np.array([-0.2, 0.4, -1.0]), np.deg2rad(50.0)))
-    chest, head, crouch = _still(time)
+    chest, head, _ = _still(time)
     chest[:, 0] = np.deg2rad(22.0) * (out[1] - out[0]) - np.deg2rad(8.0) * weight
     chest[:, 1] = np.deg2rad(5.0) * weight
     bounce = 0.008 * np.sin(2.0 * np.pi * 1.1 * time) * weight
@@ -186,7 +186,7 @@ def squat(time: np.ndarray, seconds: float, rng: np.random.Generator) -> Gesture
     depth = np.where(inside, down, 0.0)
     hand = _points(0.93, -0.05, -0.12, frames=len(time))
     arms = (reach(hand, 0, turn=0.3), reach(hand, 1, turn=0.3))
-    chest, head, crouch = _still(time)
+    chest, head, _ = _still(time)
     chest[:, 1] = np.deg2rad(36.0) * depth
     head[:, 1] = np.deg2rad(8.0) * depth
     return Gesture(arms, depth, chest, head, rng.uniform(0.24, 0.32) * depth, 0.30)

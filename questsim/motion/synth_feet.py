@@ -8,16 +8,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
-from questsim.motion.gait_curves import Gait, SwingShape, swing_shape
-from questsim.motion.kinematics import sole_points
-from questsim.motion.synth_plan import Stance, Steps, smoothstep
 from questsim.body import build_body
+from questsim.motion.gait_curves import Gait, SwingShape, swing_shape
+from questsim.motion.kinematics import link_offsets, sole_points
+from questsim.motion.synth_plan import Stance, Steps, smoothstep
+from questsim.skeleton import LINKS
 
 CLEARANCE_M = 0.012
 """A swinging foot passes the floor at least this high (Winter 1992: toes clear by 1-2 cm)."""
+FULL_STRIDE_M = 0.9
+"""A foot carried this far or farther swings with the full normative shape."""
 BRAKING = 4.0
 """Deceleration at touch-down, in step lengths per squared swing time (min-jerk would be 0)."""
 HANG_S = 0.07
@@ -55,6 +60,17 @@ def sole_shape() -> tuple[float, float, float, float]:
     )
 
 
+@lru_cache(maxsize=1)
+def leg_lengths() -> tuple[float, float, float]:
+    """Thigh, shank and half the distance of the hips, of the default body in metres."""
+    offsets = link_offsets()
+    return (
+        float(-offsets[LINKS.index("left_shin"), 2]),
+        float(-offsets[LINKS.index("left_foot"), 2]),
+        float(offsets[LINKS.index("left_thigh"), 1]),
+    )
+
+
 def feet_paths(steps: Steps, gait: Gait, time: np.ndarray) -> Feet:
     """Positions and attitudes of both feet at the times ``(T,)``."""
     level = np.zeros((2, len(time)))
@@ -66,7 +82,7 @@ def feet_paths(steps: Steps, gait: Gait, time: np.ndarray) -> Feet:
             on = (time >= s.touch) & (time <= s.lift)
             ankle, pitch = stance_pose(s, time[on])
             feet.ankle[foot, on], feet.pitch[foot, on], feet.yaw[foot, on] = ankle, pitch, s.yaw
-        for a, b in zip(stances, stances[1:], strict=False):
+        for a, b in pairwise(stances):
             on = (time > a.lift) & (time < b.touch)
             ankle, yaw, pitch = _swing(a, b, shape, gait, time[on])
             feet.ankle[foot, on], feet.yaw[foot, on], feet.pitch[foot, on] = ankle, yaw, pitch
@@ -115,11 +131,11 @@ def _roll(pitch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _swing(
     a: Stance, b: Stance, shape: SwingShape, gait: Gait, time: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ankle ``(T, 3)``, yaw and pitch ``(T,)`` between two stances, continuous to acceleration."""
+    """Ankle ``(T, 3)``, yaw and pitch ``(T,)`` between two stances, joined smoothly to both."""
     span = b.touch - a.lift
     u = (time - a.lift) / span
-    distance = np.linalg.norm(b.ankle - a.ankle)
-    full = np.clip(distance / 0.9, 0.0, 1.0)
+    distance = float(np.linalg.norm(b.ankle - a.ankle))
+    full = min(distance / FULL_STRIDE_M, 1.0)
     leave, arrive = _motion_at(a, a.lift, -_STEP), _motion_at(b, b.touch, _STEP)
     # The foot comes down still moving, as people's do: it does not hover over its place.
     stride = (b.ankle - a.ankle) / max(distance, 1e-6)
@@ -129,8 +145,7 @@ def _swing(
     ankle = np.empty((len(time), 3))
     for k in range(2):
         ankle[:, k] = _quintic(leave[:, k], arrive[:, k], span, u)
-    leg = 0.86
-    template = gait.lift * leg * (0.35 + 0.65 * full)
+    template = gait.lift * sum(leg_lengths()[:2]) * (0.35 + 0.65 * full)
     ankle[:, 2] = _shaped(template, shape.height, leave[:, 2], arrive[:, 2], span, u)
     pitch = _shaped(full, shape.pitch, leave[:, 3], arrive[:, 3], span, u)
     low = _lowest(ankle[:, 2], pitch)
@@ -156,7 +171,12 @@ def _motion_at(s: Stance, time: float, step: float) -> np.ndarray:
 
 
 def _shaped(
-    scale: float, curve, leave: np.ndarray, arrive: np.ndarray, span: float, u: np.ndarray
+    scale: float,
+    curve: CubicSpline,
+    leave: np.ndarray,
+    arrive: np.ndarray,
+    span: float,
+    u: np.ndarray,
 ) -> np.ndarray:
     """A normative curve, bent by a quintic so that it joins both stances."""
     ends = []

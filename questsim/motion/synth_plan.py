@@ -81,10 +81,10 @@ class Path:
         position = [np.interp(time, self.time, p) for p in self.position.T]
         return np.array(position), float(np.interp(time, self.time, self.heading))
 
-    def amount(self, time: float) -> float:
-        """Share of the clip's top speed at a time (a turn on the spot counts as speed)."""
+    def amount(self) -> np.ndarray:
+        """Share ``(T,)`` of the clip's top speed (a turn on the spot counts as speed)."""
         speed = np.linalg.norm(self.velocity, axis=-1) + 0.5 * np.abs(self.turn_rate)
-        return float(np.interp(time, self.time, speed) / max(speed.max(), 1e-9))
+        return speed / max(float(speed.max()), 1e-9)
 
 
 @dataclass(frozen=True)
@@ -130,15 +130,13 @@ def plan_steps(
         first: the foot that takes the first step, 0 left, 1 right.
     """
     strides = _phase(path, gait, start) + (phase if start is None else 0.5 * (first - 1))
-    amount = np.array([path.amount(t) for t in path.time])
     left, right = (_foot_stances(path, gait, strides, foot, start, stop) for foot in range(2))
-    return Steps((left, right), strides, amount)
+    return Steps((left, right), strides, path.amount())
 
 
 def _phase(path: Path, gait: Gait, start: float | None) -> np.ndarray:
     """Strides since the left foot's touch-down; slower steps at lower speed (Grieve 1968)."""
-    amount = np.array([path.amount(t) for t in path.time])
-    rate = np.maximum(amount, 0.6) ** 0.58 / gait.stride_s
+    rate = np.maximum(path.amount(), 0.6) ** 0.58 / gait.stride_s
     phase = cumulative_trapezoid(rate, path.time, initial=0.0)
     if start is None:
         return phase - np.interp(0.0, path.time, phase)

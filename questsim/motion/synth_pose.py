@@ -8,10 +8,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from questsim import rotations as rot
-from questsim.body import build_body
-from questsim.motion.kinematics import link_offsets, link_poses
-from questsim.motion.synth_feet import Feet
-from questsim.skeleton import DOFS, LINKS
+from questsim.body import DEFAULT_HEIGHT_M, build_body
+from questsim.motion.kinematics import link_poses
+from questsim.motion.synth_feet import Feet, leg_lengths
+from questsim.skeleton import DOFS
 
 FULL_STRETCH = 0.9985
 """A leg reaches at most this share of its length: nearer to straight, the knee would snap."""
@@ -53,16 +53,6 @@ class Posture:
 def dof(name: str) -> int:
     """Index of a hinge among the 33."""
     return DOFS.index(name)
-
-
-def leg_lengths() -> tuple[float, float, float]:
-    """Thigh, shank and half the distance of the hips, of the default body in metres."""
-    offsets = link_offsets()
-    return (
-        float(-offsets[LINKS.index("left_shin"), 2]),
-        float(-offsets[LINKS.index("left_foot"), 2]),
-        float(offsets[LINKS.index("left_thigh"), 1]),
-    )
 
 
 def world(heading: np.ndarray, ypr: np.ndarray) -> Rotation:
@@ -146,10 +136,9 @@ def highest_root(feet: Feet, root: np.ndarray, pelvis: Rotation) -> np.ndarray:
     return root[:, 2] + np.min(gap[..., 2] + rise, axis=0)
 
 
-def center_of_mass(qpos: np.ndarray) -> np.ndarray:
-    """``(T, 3)`` of the default body in the poses ``(T, 40)``."""
+def link_centers(qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of the default body's links, centres of mass ``(T, 16, 3)`` and mass shares ``(16,)``."""
     model = build_body().model
-    position, quat = link_poses(qpos, 1.75)
+    position, quat = link_poses(qpos, DEFAULT_HEIGHT_M)
     mass = model.body_mass[1:]
-    centers = position + rot.quat_rotate(quat, model.body_ipos[1:])
-    return np.einsum("l,tlk->tk", mass, centers) / mass.sum()
+    return position + rot.quat_rotate(quat, model.body_ipos[1:]), mass / mass.sum()
