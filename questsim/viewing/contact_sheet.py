@@ -54,6 +54,10 @@ def contact_sheet(clip: Clip, path: str | Path, columns: int = 8, rows: int = 2)
     for i, (frame, tile) in enumerate(zip(frames, tiles, strict=True)):
         tile = caption(tile, {"bottom left": f"{frame / FPS:.2f} s"}, size=15)
         sheet.paste(Image.fromarray(tile), (i % columns * width, HEADER + i // columns * height))
+    lines = ImageDraw.Draw(sheet)
+    for column in range(1, columns):
+        x = column * width
+        lines.line((x, HEADER, x, HEADER + rows * height), fill=(255, 255, 255), width=2)
     strip = _contact_strip(clip, frames, columns * width)
     sheet.paste(strip, (0, HEADER + rows * height))
     path = Path(path)

@@ -91,6 +91,9 @@ def figure_spec(height_m: float, look: Look, devices: bool = True) -> mujoco.MjS
 
 def _parts(spec: mujoco.MjSpec, ratio: float) -> Iterator[tuple[str, str, Blobs]]:
     """Every shape as (link, material, blobs of the 1.75 m body)."""
+    eyes = spec.site("headset").pos[2] / ratio
+    neck = spec.body("head").pos[2] / ratio
+    _, shoulder_y, shoulder_z = spec.body("left_upper_arm").pos / ratio
     yield "pelvis", "trousers", _both(
         (0, 0.068, -0.03, 0.092, 0.088, 0.075), (-0.01, 0.055, 0.03, 0.098, 0.085, 0.06),
         (0, 0.055, 0.10, 0.084, 0.068, 0.04),
@@ -101,19 +104,16 @@ def _parts(spec: mujoco.MjSpec, ratio: float) -> Iterator[tuple[str, str, Blobs]
     )  # fmt: skip
     yield "chest", "shirt", _both(
         (0.0, 0.045, 0.03, 0.092, 0.088, 0.08), (0.012, 0.05, 0.12, 0.098, 0.1, 0.1),
-        (-0.012, 0.115, 0.205, 0.062, 0.055, 0.05), (-0.005, 0.025, 0.245, 0.055, 0.055, 0.03),
+        (-0.012, shoulder_y - 0.065, shoulder_z - 0.025, 0.062, 0.055, 0.05),
+        (-0.008, 0.025, neck - 0.005, 0.056, 0.056, 0.025),
     )  # fmt: skip
-    yield "head", "skin", [(-0.005, 0, -0.02, 0.055), (0.012, 0, 0.09, 0.05)]
-    yield (
-        "head",
-        "skin",
-        [(0.018, 0, 0.186, 0.096, 0.076, 0.09), (0.045, 0, 0.098, 0.055, 0.048, 0.045)],
-    )
-    yield (
-        "head",
-        "hair",
-        [(0.002, 0, 0.197, 0.098, 0.081, 0.0855), (-0.03, 0, 0.13, 0.06, 0.07, 0.05)],
-    )
+    yield "head", "skin", [(-0.005, 0, -0.02, 0.055), (0.012, 0, eyes - 0.08, 0.05)]
+    yield "head", "skin", [
+        (0.018, 0, eyes + 0.016, 0.096, 0.076, 0.09), (0.045, 0, eyes - 0.072, 0.055, 0.048, 0.045),
+    ]  # fmt: skip
+    yield "head", "hair", [
+        (0.002, 0, eyes + 0.027, 0.098, 0.081, 0.0855), (-0.03, 0, eyes - 0.04, 0.06, 0.07, 0.05),
+    ]  # fmt: skip
     for side, sign in (("left", 1.0), ("right", -1.0)):
         for link, material, blobs in _side_parts(side, spec, ratio):
             yield link, material, [(x, sign * y, z, *radii) for x, y, z, *radii in blobs]

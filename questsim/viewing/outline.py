@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 from PIL import Image, ImageDraw
 
 from questsim import rotations as rot
-from questsim.body import DEFAULT_HEIGHT_M
+from questsim.body import DEFAULT_HEIGHT_M, build_body
 from questsim.skeleton import LINK_PARENTS, LINKS
 from questsim.viewing.camera import Camera
 
-# Ends of the figure that are not the beginning of a link: metres of the 1.75 m body.
+# Ends of the figure that are not the beginning of a link: metres of the 1.75 m body. Those of
+# the head are counted from the headset.
 _TIPS: tuple[tuple[str, tuple[float, float, float]], ...] = (
-    ("head", (0.03, 0.0, 0.28)),
-    ("head", (0.13, 0.0, 0.17)),
+    ("head", (-0.09, 0.0, 0.1125)),
+    ("head", (0.02, 0.0, 0.0)),
     ("left_hand", (0.0, 0.0, -0.17)),
     ("right_hand", (0.0, 0.0, -0.17)),
     ("left_foot", (0.18, 0.0, -0.065)),
@@ -29,15 +31,23 @@ _COLOURS = {"left": (42, 111, 196), "right": (214, 88, 40), "": (60, 66, 78)}
 def outline_points(position: np.ndarray, quat: np.ndarray, height_m: float) -> np.ndarray:
     """Link origins and tips ``(T, 24, 3)`` of link positions ``(T, 16, 3)`` and quaternions."""
     links = [LINKS.index(link) for link, _ in _TIPS]
-    offsets = np.array([tip for _, tip in _TIPS]) * height_m / DEFAULT_HEIGHT_M
+    offsets = _tip_offsets() * height_m / DEFAULT_HEIGHT_M
     tips = position[:, links] + rot.quat_rotate(quat[:, links], offsets)
     return np.concatenate([position, tips], axis=1)
+
+
+@lru_cache(maxsize=1)
+def _tip_offsets() -> np.ndarray:
+    """The tips ``(8, 3)`` in their links' frames, metres of the 1.75 m body."""
+    headset = build_body().model.site("headset").pos
+    return np.array([tip + headset * (link == "head") for link, tip in _TIPS])
 
 
 def _bones() -> list[tuple[int, int, str]]:
     """Pairs of indices into the outline, and the side of the body that each is on."""
     pairs = [(p, i, LINKS[i]) for i, p in enumerate(LINK_PARENTS) if p != i]
-    pairs += [(LINKS.index(link), len(LINKS) + i, link) for i, (link, _) in enumerate(_TIPS)]
+    tips = [(LINKS.index(link), len(LINKS) + i, link) for i, (link, _) in enumerate(_TIPS)]
+    pairs += [tip for tip in tips if tip[2] != "head"]  # the head is drawn as an ellipse
     return [(a, b, link.split("_")[0] if "_" in link else "") for a, b, link in pairs]
 
 
@@ -64,9 +74,10 @@ def stick_picture(points: np.ndarray, camera: Camera, width: int, height: int) -
         draw.line([*pixels[a], *pixels[b]], fill=_COLOURS[side], width=2 * thick)
         for x, y in (pixels[a], pixels[b]):
             draw.ellipse((x - thick, y - thick, x + thick, y + thick), fill=_COLOURS[side])
-    x, y = (pixels[LINKS.index("head")] + pixels[len(LINKS)]) / 2.0
-    r = 4.5 * thick
-    draw.ellipse((x - 0.8 * r, y - r, x + 0.8 * r, y + r), fill=_COLOURS[""])
+    neck, crown = pixels[LINKS.index("head")], pixels[len(LINKS)]
+    radius = 0.4 * float(np.linalg.norm(crown - neck))
+    x, y = neck + 0.6 * (crown - neck)
+    draw.ellipse((x - 0.8 * radius, y - radius, x + 0.8 * radius, y + radius), fill=_COLOURS[""])
     return np.asarray(image.reduce(over))
 
 
