@@ -96,8 +96,10 @@ class BatchSim:
         """Stature in metres of each environment's body ``(n,)``."""
         n, config = self.num_envs, self.config
         if config.heights is not None:
-            return np.round(np.linspace(*config.heights, n), 2) if n > 1 else (
-                np.array([np.mean(config.heights)])
+            return (
+                np.round(np.linspace(*config.heights, n), 2)
+                if n > 1
+                else (np.array([np.mean(config.heights)]))
             )
         # Dealt out evenly over the clips, so that few environments still see all statures.
         return self.reference.heights[np.arange(n) * len(self.reference.heights) // n]

@@ -188,7 +188,9 @@ class QuestVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         sim = self.sim
         sim.step(np.asarray(actions, float))
         fell, ended, reward = sim.fell.copy(), sim.ended.copy(), sim.reward.copy()
-        infos: dict[str, Any] = {term: sim.reward_terms[:, i].copy() for i, term in enumerate(TERMS)}
+        infos: dict[str, Any] = {
+            term: sim.reward_terms[:, i].copy() for i, term in enumerate(TERMS)
+        }
         infos |= {"error_m": sim.error.copy(), "fell": fell}
         ids = np.flatnonzero(fell | ended)
         if len(ids):

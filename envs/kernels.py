@@ -27,12 +27,8 @@ def _turn_back(c, s, x, y, z, out, at):
 @_jit
 def _columns(c, s, w, x, y, z, out, at):
     """Write the first two columns of the quaternion's matrix in S to out[at:at + 6]."""
-    _turn_back(
-        c, s, 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y), out, at
-    )
-    _turn_back(
-        c, s, 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x), out, at + 3
-    )
+    _turn_back(c, s, 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y), out, at)
+    _turn_back(c, s, 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x), out, at + 3)
 
 
 @_jit

@@ -80,9 +80,7 @@ class Reference:
         )
 
 
-def _devices(
-    clip: Clip, config: EnvConfig, seed: int, index: int
-) -> tuple[np.ndarray, np.ndarray]:
+def _devices(clip: Clip, config: EnvConfig, seed: int, index: int) -> tuple[np.ndarray, np.ndarray]:
     names = sensor_set(config.sensors)
     position, quat = device_poses(clip.link_position, clip.link_quat, names, clip.height_m)
     if config.noise is None:

@@ -121,9 +121,7 @@ def _build(height_m: float, preset: str, self_collision: bool) -> Body:
     )
 
 
-def scaled_spec(
-    height_m: float = DEFAULT_HEIGHT_M, preset: str = "default"
-) -> mujoco.MjSpec:
+def scaled_spec(height_m: float = DEFAULT_HEIGHT_M, preset: str = "default") -> mujoco.MjSpec:
     """The editable MjSpec behind ``build_body``, for scenes and viewers."""
     options = PRESETS[preset]
     ratio = height_m / DEFAULT_HEIGHT_M

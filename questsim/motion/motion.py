@@ -111,6 +111,7 @@ class Motion:
 
 def rest_height(offsets: np.ndarray) -> float:
     """Metres from the ankles up to the head joint in the T-pose, of offsets ``(22, 3)``."""
+
     def z(name: str) -> float:
         joint, height = JOINTS.index(name), 0.0
         while joint:

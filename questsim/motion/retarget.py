@@ -346,6 +346,7 @@ STRAIGHT_ARM_WEIGHT = 0.1
 
 def _arm_rest(motion: Motion) -> tuple[float, np.ndarray]:
     """Half the arm span, and the midpoint of the shoulders from spine3, in the rest pose."""
+
     def from_spine(name: str) -> np.ndarray:
         joint, place = _joint(name), np.zeros(3)
         while joint != _joint("spine3"):

@@ -1,0 +1,346 @@
+"""The batched environment: what it observes, rewards, ends, and that threads do not matter."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env as gym_check_env
+from helpers import swaying_clip
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+from envs import BatchSim, EnvConfig, KinematicVecEnv, QuestEnv, QuestVecEnv, QuestVectorEnv
+from envs.layout import observation_layout
+from envs.sampler import Sampler
+from questsim import reward
+from questsim import rotations as rot
+from questsim.body import build_body
+from questsim.errors import InputError
+from questsim.sensors import SENSOR_SETS, SensorNoise, device_poses
+from questsim.skeleton import LINKS
+
+CLIPS = [
+    swaying_clip("a", 1.75, kind="stand"),
+    swaying_clip("b", 1.6, frames=50, kind="wave"),
+    swaying_clip("c", 1.9, frames=60, kind="stand"),
+]
+
+
+def actions(n: int, steps: int, scale: float = 0.1) -> np.ndarray:
+    return np.random.default_rng(7).normal(0.0, scale, (steps, n, 33))
+
+
+def hold(env: QuestVecEnv, obs: np.ndarray) -> np.ndarray:
+    """Springs towards the coming reference pose: tracks for a while."""
+    gain = 4.0 * env.damping / 0.04 / env.torque_limits
+    return gain * (obs[:, env.layout["reference_joint_angles"]] - obs[:, :33])
+
+
+def test_the_observation_has_475_numbers_by_name() -> None:
+    layout = observation_layout(EnvConfig())
+    sizes = {name: part.stop - part.start for name, part in layout.items()}
+    assert (sizes["o_sim"], sizes["o_user"], sizes["o_scale"]) == (312, 162, 1)
+    assert layout["o_scale"].stop == 475
+    assert observation_layout(EnvConfig(sensors="H"))["o_scale"].stop == 312 + 54 + 1
+    assert observation_layout(EnvConfig(future_frames=0))["o_scale"].stop == 312 + 27 + 1
+
+
+def test_the_observation_is_what_numpy_makes_of_the_state() -> None:
+    env = QuestVecEnv(CLIPS, EnvConfig(), num_envs=3, seed=1)
+    env.reset()
+    for action in actions(3, 8):
+        obs, *_ = env.step(action)
+    sim = env.sim
+    for i in range(3):
+        model = build_body(float(sim.heights[i])).model
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = sim.qpos[i], sim.qvel[i]
+        mujoco.mj_forward(model, data)
+        expected = _expected_observation(sim, i, model, data)
+        np.testing.assert_allclose(obs[i], expected, atol=2e-4, rtol=1e-4)
+
+
+def _expected_observation(
+    sim: BatchSim, i: int, model: mujoco.MjModel, data: mujoco.MjData
+) -> np.ndarray:
+    to_s = rot.quat_conjugate(rot.yaw_quat(rot.heading(data.qpos[3:7])))
+    origin = np.array([data.qpos[0], data.qpos[1], 0.0])
+    velocity = np.zeros((16, 6))
+    for b in range(16):
+        kind = mujoco.mjtObj.mjOBJ_XBODY
+        mujoco.mj_objectVelocity(model, data, kind, b + 1, velocity[b], 0)
+    clip = CLIPS[sim.clip[i]].scaled(float(sim.heights[i]))
+    first = int(sim.frame[i] - sim.reference.start[sim.clip[i]]) + 1
+    rows = np.minimum(np.arange(first, first + 6), len(clip) - 1)
+    position, quat = device_poses(
+        clip.link_position[rows], clip.link_quat[rows], SENSOR_SETS["H+2C"], clip.height_m
+    )
+    poses = np.concatenate(
+        [rot.quat_rotate(to_s, position - origin), rot.quat_to_6d(rot.quat_multiply(to_s, quat))],
+        axis=-1,
+    )
+    return np.concatenate(
+        [
+            data.qpos[7:],
+            data.qvel[6:],
+            rot.quat_rotate(to_s, data.xpos[1:] - origin).ravel(),
+            rot.quat_to_6d(rot.quat_multiply(to_s, data.xquat[1:])).ravel(),
+            rot.quat_rotate(to_s, velocity[:, 3:]).ravel(),
+            rot.quat_rotate(to_s, velocity[:, :3]).ravel(),
+            rot.quat_rotate(to_s, sim.contact_force[i]).ravel(),
+            poses.ravel(),
+            [sim.heights[i]],
+        ]
+    )
+
+
+def test_rewards_are_the_pure_functions_of_the_state() -> None:
+    env = QuestVecEnv(CLIPS, EnvConfig(), num_envs=3, seed=2)
+    env.reset()
+    sim, config = env.sim, env.sim.config.reward
+    for action in actions(3, 5, 0.05):
+        previous = sim.contact_force[..., 2].copy()
+        env.step(action)
+    velocity = np.zeros((3, 16, 3))
+    reference = {name: [] for name in ("q", "v", "x", "xd")}
+    for i in range(3):
+        model = build_body(float(sim.heights[i])).model
+        data = sim.batch.get_data(i)
+        out = np.zeros(6)
+        for b in range(16):
+            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, b + 1, out, 0)
+            velocity[i, b] = out[3:]
+        clip = CLIPS[sim.clip[i]].scaled(float(sim.heights[i]))
+        row = int(sim.frame[i] - sim.reference.start[sim.clip[i]])
+        reference["q"].append(clip.qpos[row, 7:])
+        reference["v"].append(clip.qvel[row, 6:])
+        reference["x"].append(clip.link_position[row])
+        reference["xd"].append(clip.link_velocity[row])
+    q, v, x, xd = (np.array(reference[name]) for name in ("q", "v", "x", "xd"))
+    terms = np.stack(
+        [
+            reward.tracking(sim.qpos[:, 7:], q, config.k_joint_angles),
+            reward.tracking(sim.qvel[:, 6:], v, config.k_joint_velocities),
+            reward.link_tracking(sim.link_positions, x, config.k_link_positions),
+            reward.link_tracking(velocity, xd, config.k_link_velocities),
+            reward.unloading(previous, sim.contact_force[..., 2], config.k_contact),
+        ],
+        axis=-1,
+    )
+    np.testing.assert_allclose(sim.reward_terms, terms, atol=1e-4)
+    np.testing.assert_allclose(sim.reward, terms @ config.weights, atol=1e-4)
+    error = np.linalg.norm(sim.link_positions - x, axis=-1).mean(axis=-1)
+    np.testing.assert_allclose(sim.error, error, atol=1e-5)
+
+
+def test_an_episode_starts_on_the_reference() -> None:
+    env = QuestVecEnv(CLIPS, EnvConfig(), num_envs=6, seed=3)
+    env.reset()
+    sim = env.sim
+    for i in range(6):
+        clip = CLIPS[sim.clip[i]].scaled(float(sim.heights[i]))
+        row = int(sim.frame[i] - sim.reference.start[sim.clip[i]])
+        np.testing.assert_allclose(sim.link_positions[i], clip.link_position[row], atol=1e-5)
+        np.testing.assert_allclose(sim.qvel[i], clip.qvel[row], atol=1e-5)
+
+
+def rollout(threads: int, n: int = 7, steps: int = 40) -> tuple[np.ndarray, ...]:
+    env = QuestVecEnv(CLIPS, EnvConfig(sampling="failure"), num_envs=n, seed=5, num_threads=threads)
+    collected = [env.reset()]
+    rewards = []
+    for action in actions(n, steps, 0.3):
+        obs, r, _, _ = env.step(action)
+        collected.append(obs)
+        rewards.append(r)
+    env.close()
+    return np.array(collected), np.array(rewards)
+
+
+def test_same_seed_same_bits_at_one_and_two_threads() -> None:
+    one, two = rollout(1), rollout(2)
+    np.testing.assert_array_equal(one[0], two[0])
+    np.testing.assert_array_equal(one[1], two[1])
+
+
+def test_another_seed_gives_other_episodes() -> None:
+    first = QuestVecEnv(CLIPS, num_envs=7, seed=5).reset()
+    assert not np.array_equal(first, QuestVecEnv(CLIPS, num_envs=7, seed=6).reset())
+
+
+def test_a_single_environment_is_a_row_of_the_batch_bit_for_bit() -> None:
+    # A limit that is never reached: only the faces that many share begin anew by themselves.
+    config = EnvConfig(fixed_start=True, max_error_m=99.0)
+    batch = QuestVecEnv(CLIPS[:1], config, num_envs=1)
+    wide = QuestVecEnv(CLIPS, config)
+    single = QuestEnv(CLIPS[:1], config)
+    obs, wide_obs = batch.reset(), wide.reset()
+    single_obs, _ = single.reset(options={"clip": "a"})
+    for action in actions(3, 30, 0.05).astype(np.float32):
+        np.testing.assert_array_equal(obs[0], single_obs)
+        np.testing.assert_array_equal(obs[0], wide_obs[0])
+        obs, r, *_ = batch.step(action[:1])
+        wide_obs, *_ = wide.step(action)
+        single_obs, single_r, *_ = single.step(action[0])
+        assert np.float32(single_r) == r[0]
+
+
+def test_a_falling_avatar_terminates_and_a_finished_clip_truncates() -> None:
+    env = QuestVecEnv(CLIPS[1:2], EnvConfig(fixed_start=True, max_error_m=0.2))
+    env.reset()
+    for _ in range(60):
+        _, _, dones, infos = env.step(np.zeros((1, 33)))
+        if dones[0]:
+            break
+    assert infos[0]["fell"] and not infos[0]["TimeLimit.truncated"]
+    assert infos[0]["clip"] == "b" and infos[0]["kind"] == "wave"
+
+    env = QuestVecEnv(CLIPS[1:2], EnvConfig(fixed_start=True, privileged=True, max_error_m=9.0))
+    obs = env.reset()
+    for step in range(1, 60):
+        obs, _, dones, infos = env.step(hold(env, obs))
+        if dones[0]:
+            break
+    assert step == len(CLIPS[1]) - 1
+    assert infos[0]["TimeLimit.truncated"] and not infos[0]["fell"]
+    assert infos[0]["episode"]["l"] == step
+    assert not np.array_equal(infos[0]["terminal_observation"], obs[0])
+
+
+def test_heights_are_spread_and_clips_scaled_to_them() -> None:
+    env = QuestVecEnv(CLIPS, EnvConfig(heights=(1.4, 2.0)), num_envs=4)
+    env.reset()
+    np.testing.assert_allclose(env.sim.heights, [1.4, 1.6, 1.8, 2.0])
+    np.testing.assert_allclose(env.sim.observation[:, 474], env.sim.heights, rtol=1e-6)
+    head = env.sim.link_positions[:, LINKS.index("head"), 2]
+    np.testing.assert_allclose(head / env.sim.heights, head[0] / 1.4, rtol=0.02)
+
+
+def test_physics_that_is_not_finite_ends_the_episode_and_is_counted() -> None:
+    env = QuestVecEnv(CLIPS, EnvConfig(), num_envs=3, seed=0)
+    env.reset()
+    env.sim.qvel[1] = np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        obs, rewards, dones, infos = env.step(np.zeros((3, 33)))
+    assert list(dones) == [False, True, False] and infos[1]["fell"]
+    assert env.sim.unstable_count == 1
+    assert np.isfinite(obs).all() and np.isfinite(rewards).all()
+    assert np.isfinite(infos[1]["terminal_observation"]).all()
+    _, _, dones, _ = env.step(np.zeros((3, 33)))
+    assert not dones[1]
+
+
+def test_state_resumes_the_same_stream_of_episodes() -> None:
+    env = QuestVecEnv(CLIPS, EnvConfig(sampling="failure"), num_envs=5, seed=9)
+    env.reset()
+    for action in actions(5, 30, 0.5):
+        env.step(action)
+    state = env.get_state()
+    first = env.reset()
+    other = QuestVecEnv(CLIPS, EnvConfig(sampling="failure"), num_envs=5, seed=1)
+    other.set_state(state)
+    np.testing.assert_array_equal(other.reset(), first)
+
+
+def test_clips_that_fail_come_more_often_and_none_is_forgotten() -> None:
+    sim = BatchSim(CLIPS, EnvConfig(sampling="failure"), num_envs=1)
+    sampler = Sampler(sim.reference, weighted=True)
+    for _ in range(30):
+        sampler.record(np.array([0, 1, 2]), np.zeros(3, int), np.full(3, 9), np.arange(3) == 2)
+    drawn, first = sampler.draw(4000, np.random.default_rng(0))
+    share = np.bincount(drawn, minlength=3) / 4000
+    assert share[2] > 2 * share[0] and share.min() > 0.02
+    lengths = np.array([len(c) for c in CLIPS])
+    assert (first < lengths[drawn] - 1).all()
+
+
+def test_a_motion_shorter_than_the_future_window_is_refused_by_name() -> None:
+    with pytest.raises(InputError, match=r"short.*6 frames"):
+        BatchSim([swaying_clip("short", frames=6)], EnvConfig())
+    BatchSim([swaying_clip("short", frames=6)], EnvConfig(future_frames=2))
+
+
+@pytest.mark.parametrize(
+    "options", [{"sensors": "X"}, {"future_frames": 7}, {"sampling": "y"}, {"heights": (1.0, 2.0)}]
+)
+def test_impossible_options_are_refused(options: dict) -> None:
+    with pytest.raises(InputError):
+        EnvConfig(**options)
+
+
+def test_noise_disturbs_only_what_the_policy_sees() -> None:
+    clean = BatchSim(CLIPS, EnvConfig(fixed_start=True))
+    noisy = BatchSim(
+        CLIPS, EnvConfig(fixed_start=True, noise=SensorNoise(position_std_m=0.02)), seed=3
+    )
+    clean.reset()
+    noisy.reset()
+    user = clean.layout["o_user"]
+    difference = np.abs(noisy.observation - clean.observation)
+    assert difference[:, user].max() > 0.01
+    difference[:, user] = 0.0
+    assert difference.max() == 0.0
+
+
+@pytest.mark.parametrize("name", ["QuestSim-v0", "QuestSimHeadset-v0"])
+def test_both_libraries_accept_the_environment(name: str) -> None:
+    env = gym.make(name, motions=CLIPS)
+    size = {"QuestSim-v0": 475, "QuestSimHeadset-v0": 367}[name]
+    assert env.observation_space.shape == (size,)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        gym_check_env(env.unwrapped, skip_render_check=True)
+        sb3_check_env(env.unwrapped)
+    env.close()
+
+
+def test_make_vec_gives_the_batch_and_the_same_steps_as_the_vecenv() -> None:
+    vector = gym.make_vec("QuestSim-v0", num_envs=4, motions=CLIPS)
+    assert isinstance(vector.unwrapped, QuestVectorEnv)
+    sb3 = QuestVecEnv(CLIPS, num_envs=4)
+    obs, _ = vector.reset(seed=3)
+    sb3.seed(3)
+    np.testing.assert_array_equal(obs, sb3.reset())
+    for action in actions(4, 40, 0.5).astype(np.float32):
+        obs, r, fell, ended, infos = vector.step(action)
+        sb3_obs, sb3_r, dones, _ = sb3.step(action)
+        np.testing.assert_array_equal(obs, sb3_obs)
+        np.testing.assert_array_equal(fell | ended, dones)
+        np.testing.assert_array_equal(r.astype(np.float32), sb3_r)
+    assert set(reward.TERMS) <= set(infos)
+
+
+def test_reward_terms_are_in_info_by_name() -> None:
+    env = QuestEnv(CLIPS)
+    env.reset(seed=0)
+    _, total, _, _, info = env.step(np.zeros(33, np.float32))
+    weights = dict(zip(reward.TERMS, env.sim.config.reward.weights, strict=True))
+    assert total == pytest.approx(sum(weights[t] * info[t] for t in reward.TERMS))
+
+
+def test_poses_of_the_reference_score_full_marks_without_physics() -> None:
+    env = KinematicVecEnv(CLIPS, EnvConfig(fixed_start=True))
+    env.reset()
+    for frame in range(1, 20):
+        poses = np.stack([clip.qpos[frame] for clip in CLIPS])
+        _, _, dones, _ = env.step(poses)
+        assert not dones.any()
+        assert env.sim.error.max() < 1e-5
+        assert env.reward_terms[:, 0].min() > 0.999
+    with pytest.raises(InputError, match="not finite"):
+        env.step(np.full((3, 40), np.nan))
+
+
+def test_headset_alone_drops_the_controllers_from_the_observation() -> None:
+    both = BatchSim(CLIPS, EnvConfig(fixed_start=True))
+    alone = BatchSim(CLIPS, replace(EnvConfig(fixed_start=True), sensors="H"))
+    both.reset()
+    alone.reset()
+    headset = both.observation[:, both.layout["o_user"]].reshape(3, 6, 3, 9)[:, :, 0]
+    np.testing.assert_array_equal(
+        alone.observation[:, alone.layout["o_user"]].reshape(3, 6, 9), headset
+    )
