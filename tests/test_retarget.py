@@ -7,13 +7,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from helpers import swaying_clip
 
 from questsim import rotations as rot
 from questsim.body import build_body
 from questsim.motion.kinematics import sole_positions
 from questsim.motion.retarget import mirror_clip, retargeting_error, to_clip, to_motion
 from questsim.skeleton import FOOT_LINKS, LINKS
-from helpers import swaying_clip
 
 SHARED = Path(__file__).parents[2] / "shared" / "mocap" / "bandai-namco-2.zip"
 
