@@ -22,7 +22,7 @@ from questsim.motion.bvh import AGAIN, Recording, read_bytes
 from questsim.motion.convert import global_pose
 
 NUM_BODY_JOINTS = 22
-SMPL_NAMES = (
+SMPL_NAMES: tuple[str, ...] = (
     "Pelvis", "L_Hip", "R_Hip", "Spine1", "L_Knee", "R_Knee", "Spine2", "L_Ankle", "R_Ankle",
     "Spine3", "L_Foot", "R_Foot", "Neck", "L_Collar", "R_Collar", "Head", "L_Shoulder",
     "R_Shoulder", "L_Elbow", "R_Elbow", "L_Wrist", "R_Wrist",

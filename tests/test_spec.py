@@ -1,0 +1,173 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mocap_files import SMPL_JOINTS, standing, write_amass, write_bvh
+
+from questsim.errors import InputError
+from questsim.motion import datasets, spec
+from questsim.motion.commands import ImportArgs, ListArgs, import_motions, list_motions
+from questsim.motion.library import load_library
+from questsim.motion.spec import load_motions, load_recordings
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch) -> Path:
+    monkeypatch.setenv("QUESTSIM_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    folder = tmp_path / "clips"
+    (folder / "deep").mkdir(parents=True)
+    for name in ("dataset-2_walk_elderly_001", "stand"):
+        write_bvh(folder / f"{name}.bvh", SMPL_JOINTS, standing(20, 0.95))
+    write_amass(folder / "deep" / "other.npz")
+    return folder
+
+
+def test_a_file_and_a_folder_are_read(folder):
+    assert [c.name for c in load_motions(str(folder / "stand.bvh"))] == ["stand"]
+    clips = load_motions(str(folder))
+    assert sorted(c.name for c in clips) == ["dataset-2_walk_elderly_001", "other", "stand"]
+    walk = next(c for c in clips if c.name.startswith("dataset"))
+    assert (walk.kind, walk.style) == ("walk", "elderly")
+    assert [m.name for m in load_recordings(str(folder))] == [c.name for c in clips]
+
+
+def test_the_second_call_reads_the_cache_and_agrees_to_the_bit(folder, monkeypatch):
+    first = load_motions(str(folder))
+    monkeypatch.setattr(spec, "read_many", lambda *a: pytest.fail("retargeted again"))
+    second = load_motions(str(folder))
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a.qpos, b.qpos)
+        np.testing.assert_array_equal(a.link_velocity, b.link_velocity)
+
+
+def test_a_changed_file_is_read_again(folder):
+    assert len(load_motions(str(folder / "stand.bvh"))[0]) < 30
+    write_bvh(folder / "stand.bvh", SMPL_JOINTS, standing(60, 0.95))
+    assert len(load_motions(str(folder / "stand.bvh"))[0]) > 60
+
+
+def test_two_processes_make_the_same_clips_as_one(tmp_path, monkeypatch):
+    folder = tmp_path / "many"
+    folder.mkdir()
+    for i in range(6):
+        pose = {"L_Elbow": np.linspace((0, 0, 0), (0, 5 * i, 0), 12)}
+        write_bvh(folder / f"clip{i}.bvh", SMPL_JOINTS, standing(12, 0.95), pose)
+    one = load_motions(str(folder))
+    monkeypatch.setattr(spec, "MANY", 2)
+    monkeypatch.setenv("QUESTSIM_CACHE", str(tmp_path / "cache2"))
+    two = load_motions(str(folder))
+    for a, b in zip(one, two, strict=True):
+        assert a.name == b.name
+        np.testing.assert_array_equal(a.qpos, b.qpos)
+
+
+def test_several_are_joined_and_equal_names_numbered(folder):
+    stand = str(folder / "stand.bvh")
+    names = ["stand", "dataset-2_walk_elderly_001", "stand-2"]
+    parts = [stand, f"{folder / 'dataset-2_walk_elderly_001.bvh'},{stand}"]
+    assert [c.name for c in load_motions(parts)] == names
+    assert [c.name for c in load_motions(",".join(parts))] == names
+
+
+def test_heights_and_mirrored_copies_on_request(folder):
+    clips = load_motions(str(folder), height_m=1.9, mirrored=True)
+    assert {clip.height_m for clip in clips} == {1.9}
+    assert [c.name for c in clips[:2]] == [clips[0].name, f"{clips[0].name}-mirrored"]
+    assert len(load_recordings(str(folder), mirrored=True)) == 6
+
+
+def test_synthetic_motion_needs_no_files():
+    clips = load_motions("synthetic", seed=0)
+    assert len(clips) > 5
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("nowhere", "no motions 'nowhere'.*synthetic, bandai-namco-2"),
+        (" , ", "no motions named"),
+        ("bandai-namco-2", "has not been fetched.*questsim motions fetch bandai-namco-2"),
+        ("bandai-namco-2:valid", "no split 'valid'"),
+    ],
+)
+def test_what_names_no_motions_is_refused(text, reason):
+    with pytest.raises(InputError, match=reason):
+        load_motions(text)
+
+
+def test_a_folder_without_motions_and_other_files_are_refused(tmp_path):
+    (tmp_path / "notes.txt").write_text("hello")
+    with pytest.raises(InputError, match=r"no \.bvh or \.npz file"):
+        load_motions(str(tmp_path))
+    with pytest.raises(InputError, match=r"is not one of \.bvh, \.npz"):
+        load_motions(str(tmp_path / "notes.txt"))
+
+
+def test_a_dataset_is_split_by_its_test_list(tmp_path, monkeypatch):
+    names = ["dataset-2_walk_normal_001", "dataset-2_walk_normal_002"]
+    folder = datasets.dataset_folder("bandai-namco-2")
+    folder.mkdir(parents=True)
+    for name in names:
+        write_bvh(folder / f"{name}.bvh", SMPL_JOINTS, standing(15, 0.95))
+    digests = {f"{name}.bvh": "0" * 64 for name in names}
+    monkeypatch.setattr(datasets, "manifest", lambda name: digests)
+    (tmp_path / "bandai-namco-2-test.txt").write_text(names[1])
+    monkeypatch.setattr(datasets, "DATA", tmp_path)
+    (folder / "verified.sha256").write_text(datasets.manifest_digest("bandai-namco-2"))
+    assert [c.name for c in load_motions("bandai-namco-2:train")] == names[:1]
+    assert [c.name for c in load_motions("bandai-namco-2:test")] == names[1:]
+    both = load_motions("bandai-namco-2")
+    assert [c.name for c in both] == names
+    assert {c.licence for c in both} == {"CC-BY-NC-4.0"}
+
+
+def test_import_writes_a_library_and_prints_how_each_file_was_taken(folder, tmp_path, capsys):
+    out = tmp_path / "lib.npz"
+    import_motions(ImportArgs(paths=(str(folder),), out=str(out), mirrored=True, licence="CC0-1.0"))
+    text = capsys.readouterr().out
+    assert "stand: 20 frames, units m (detected), up y (detected), 30 fps" in text
+    assert "retargeting error in cm: " in text and "left_knee" in text
+    library = load_library(out)
+    assert len(library.clips) == len(library.motions) == 6
+    assert {clip.licence for clip in library.clips} == {"CC0-1.0"}
+    assert [c.name for c in load_motions(str(out))] == [c.name for c in library.clips]
+    import_motions(ImportArgs(paths=(str(out),), out=str(tmp_path / "copy.npz")))
+    assert len(load_library(tmp_path / "copy.npz").clips) == 6
+
+
+def test_import_writes_nothing_if_one_file_is_bad(folder, tmp_path):
+    (folder / "zz.bvh").write_text("HIERARCHY\n")
+    with pytest.raises(InputError, match=r"zz\.bvh"):
+        import_motions(ImportArgs(paths=(str(folder),), out=str(tmp_path / "lib.npz")))
+    assert not list(tmp_path.glob("*lib.npz*"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"out": "lib.txt"}, "ends in .npz"),
+        ({"out": "none/lib.npz"}, "no such folder"),
+        ({"paths": ()}, "no files given"),
+        ({"paths": ("nowhere",)}, "no such file or folder"),
+        ({"units": "miles"}, "units 'miles'"),
+        ({"fps": -3.0}, "not above zero"),
+    ],
+)
+def test_import_refuses_wrong_arguments(changes, reason, folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    args = {"paths": (str(folder),), "out": "lib.npz"} | changes
+    with pytest.raises(InputError, match=reason):
+        import_motions(ImportArgs(**args))
+    assert not (tmp_path / "lib.npz").exists()
+
+
+def test_list_counts_clips_by_kind(folder, capsys):
+    list_motions(ListArgs(str(folder)))
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.split()[:3] == ["walk", "elderly", "1"] for line in lines)
+    assert any(line.split()[:2] == ["all", "3"] for line in lines)
