@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,14 @@ from agents.policy import TorquePolicy
 from agents.ppo import AdaptivePPO
 from agents.presets import PRESETS, PPOConfig, Preset, StageConfig
 from agents.rolling import choose_clips, evaluation_sim, follow
-from agents.run_folder import check_same_run, data_record, read_run, refuse_existing, start_run
+from agents.run_folder import (
+    RECORD,
+    check_same_run,
+    data_record,
+    read_run,
+    refuse_existing,
+    start_run,
+)
 from agents.spec import Layout, initial_gains, noise_by_joint
 from agents.stage import Budget, Stage, Stopper
 from envs import QuestVecEnv
@@ -87,13 +94,17 @@ def train(args: TrainArgs) -> int:
     data = data_record(args.motions, clips)
     if args.resume:
         check_same_run(read_run(args.out), args, data, MAY_DIFFER_ON_RESUME, args.out)
-    else:
-        start_run(args.out, args, preset, data)
+
+    def begin() -> None:
+        # Not earlier: options and motions that a stage refuses leave no run behind.
+        if not (args.out / RECORD).exists():
+            start_run(args.out, args, preset, data)
+
     torch.set_num_threads(args.threads)
     stopper = Stopper()
     with Display() as display, stopper.listening():
         for name in names:
-            _run_stage(name, args, preset, clips, data, display, stopper)
+            _run_stage(name, args, preset, clips, data, display, stopper, begin)
             if stopper.requested:
                 display.say(f"stopped; go on with --resume --out {args.out}")
                 return INTERRUPTED
@@ -128,6 +139,7 @@ def _run_stage(
     data: dict[str, Any],
     display: Display,
     stopper: Stopper,
+    begin: Callable[[], None],
 ) -> None:
     config = preset.stages[name]
     env_config = EnvConfig(
@@ -173,6 +185,7 @@ def _run_stage(
         )
         if args.resume and (stage.folder / "last" / CARD_FILE).exists():
             stage.resume()
+        begin()
         stage.run(display, stopper)
         sim.close()
     finally:
@@ -253,7 +266,7 @@ def make_ppo(config: StageConfig, ppo: PPOConfig, env: QuestVecEnv, seed: int) -
         reward_scale=ppo.reward_scale,
         learning_rate=ppo.learning_rate,
         n_steps=ppo.rollout_steps,
-        batch_size=ppo.minibatch,
+        batch_size=min(ppo.minibatch, ppo.rollout_steps * env.num_envs),
         n_epochs=ppo.epochs,
         gamma=ppo.gamma,
         gae_lambda=ppo.gae_lambda,

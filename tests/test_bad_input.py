@@ -8,6 +8,7 @@ import subprocess
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -123,7 +124,7 @@ def test_import_refuses_an_unwritable_out(tmp_path):
 @pytest.mark.parametrize("key, value", [("version", 99), ("dofs", np.array(["knee"]))])
 def test_library_of_another_version_or_body_is_refused(key, value, library, tmp_path):
     with np.load(library) as archive:
-        arrays = dict(archive) | {key: np.asarray(value)}
+        arrays: dict[str, Any] = dict(archive) | {key: np.asarray(value)}
     np.savez(tmp_path / "other.npz", **arrays)
     attempt = questsim(tmp_path, "motions", "list", "other.npz")
     assert_refused(attempt, "other.npz", key)
@@ -144,6 +145,16 @@ def test_training_refuses_a_motion_shorter_than_the_future_window(tmp_path):
     words = ("--preset", "smoke", "--motions", "short.bvh", "--out", "run")
     attempt = questsim(tmp_path, *words, script="train.py")
     assert_refused(attempt, "short", "future frames")
+
+
+@pytest.mark.parametrize(
+    "option, value", [("--hold-out", "angry"), ("--sensors", "7T"), ("--teacher", "none")]
+)
+def test_training_refuses_options_without_starting_a_run(option, value, library, tmp_path):
+    words = ["--preset", "smoke", "--motions", library, "--out", "run", option, value]
+    if option == "--teacher":
+        words += ["--preset", "cpu", "--stage", "student"]
+    assert_refused(questsim(tmp_path, *words, script="train.py"), value)
 
 
 def test_training_refuses_motions_that_are_missing(tmp_path):
