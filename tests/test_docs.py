@@ -22,6 +22,11 @@ def test_source_files_that_are_named_exist(page):
     assert not [name for name in names if not (ROOT / name).exists()]
 
 
+def test_index_lists_every_page():
+    listed = set(re.findall(r"\]\((\w+\.md)\)", (ROOT / "docs" / "index.md").read_text()))
+    assert {page.name for page in (ROOT / "docs").glob("*.md")} - {"index.md"} == listed
+
+
 def test_make_targets_that_are_named_exist():
     targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     named = {
