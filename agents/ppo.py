@@ -92,6 +92,8 @@ class AdaptivePPO(PPO):
                     truncated.append((t, int(i), infos[i]["terminal_observation"]))
             self._last_obs, self._last_episode_starts = new_obs, dones  # type: ignore[assignment]
             self.num_timesteps += env.num_envs
+            if not np.isfinite(rewards).all():
+                raise TrainingError("the reward is not finite", self.num_timesteps)
             callback.update_locals(locals())
             if not callback.on_step():
                 return False
@@ -108,8 +110,6 @@ class AdaptivePPO(PPO):
                 reference rather than fell: its future is worth what the critic says.
         """
         policy, buffer = self.policy, self.rollout_buffer
-        if not bool(torch.isfinite(buffer.rewards).all()):
-            raise TrainingError("the reward is not finite", self.num_timesteps)
         buffer.rewards *= self.reward_scale
         shape = buffer.values.shape
         buffer.values[:] = policy.predict_values(buffer.flat_observations()).view(shape)

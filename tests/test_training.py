@@ -1,0 +1,480 @@
+"""PPO, DAgger, stages and runs: what learns, what is saved, and what going on means."""
+
+from __future__ import annotations
+
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from fake_env import FakeVecEnv
+from helpers import swaying_clip
+
+from agents import training
+from agents.agent import Needs, PolicyAgent, load_agent, new_policy
+from agents.buffers import TensorRolloutBuffer
+from agents.checkpoint import load_resume
+from agents.dagger import Dagger, DaggerConfig, Memory
+from agents.learner import TrainingError
+from agents.monitor import Display, evaluation_figures
+from agents.ppo import AdaptivePPO, _gaussian_kl
+from agents.presets import PRESETS, PPOConfig, StageConfig
+from agents.rolling import Followed, choose_clips
+from agents.spec import SPARSE_BLOCKS, TRACKER_BLOCKS, Layout, PolicySpec
+from agents.stage import Budget, Stage, Stopper
+from agents.training import TrainArgs, make_ppo, split_validation, train
+from questsim.errors import InputError
+
+SMALL = PolicySpec(TRACKER_BLOCKS, TRACKER_BLOCKS, (32, 32), "elu", reference_head=True)
+QUICK = PPOConfig(minibatch=128, rollout_steps=16)
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    torch.set_num_threads(1)
+
+
+def small_ppo(env: FakeVecEnv, seed: int = 0, **changes) -> AdaptivePPO:
+    config = StageConfig(1.0, SMALL, replace(QUICK, **changes))
+    assert isinstance(config.learning, PPOConfig)
+    return make_ppo(config, config.learning, env, seed)  # type: ignore[arg-type]
+
+
+def nothing(*_: object) -> None:
+    """An observer that looks away."""
+
+
+def test_advantages_are_discounted_sums_of_surprises_up_to_the_episodes_end():
+    rng = np.random.default_rng(0)
+    steps, envs, gamma, decay = 7, 3, 0.9, 0.8
+    env = FakeVecEnv(envs)
+    buffer = TensorRolloutBuffer(
+        steps, env.observation_space, env.action_space, "cpu", decay, gamma, envs
+    )
+    buffer.rewards[:] = torch.from_numpy(rng.normal(size=(steps, envs)))
+    buffer.values[:] = torch.from_numpy(rng.normal(size=(steps, envs)))
+    buffer.dones[:] = torch.from_numpy(rng.random((steps, envs)) < 0.3)
+    last = torch.from_numpy(rng.normal(size=envs)).float()
+    buffer.compute_advantages(last)
+    values = torch.cat([buffer.values, last[None]])
+    for i in range(envs):
+        for t in range(steps):
+            expected, weight = 0.0, 1.0
+            for k in range(t, steps):
+                done = float(buffer.dones[k, i])
+                surprise = buffer.rewards[k, i] + gamma * (1 - done) * values[k + 1, i]
+                expected += weight * float(surprise - values[k, i])
+                if done:
+                    break
+                weight *= gamma * decay
+            assert float(buffer.advantages[t, i]) == pytest.approx(expected, abs=1e-5)
+
+
+def test_minibatches_visit_every_row_once_with_its_own_numbers():
+    env = FakeVecEnv(4)
+    buffer = TensorRolloutBuffer(5, env.observation_space, env.action_space, n_envs=4)
+    buffer.values[:] = torch.arange(20.0).view(5, 4)
+    buffer.observations[..., 0] = buffer.values
+    batches = list(buffer.minibatches(6, torch.Generator().manual_seed(0)))
+    assert [len(b.returns) for b in batches] == [6, 6, 6, 2]
+    seen = torch.cat([b.returns for b in batches])
+    assert sorted(seen.tolist()) == list(range(20))
+    assert all(torch.equal(b.observations[:, 0], b.returns) for b in batches)
+
+
+def test_kl_is_that_of_normal_distributions():
+    means, stds = torch.randn(2, 5, 3), torch.rand(2, 3) + 0.1
+    p, q = (torch.distributions.Normal(m, s) for m, s in zip(means, stds, strict=True))
+    expected = torch.distributions.kl_divergence(p, q).sum(1).mean()
+    found = _gaussian_kl(means[0], stds[0].log(), means[1], stds[1].log())
+    torch.testing.assert_close(found, expected)
+
+
+def test_learning_rate_follows_the_kl_divergence():
+    ppo = small_ppo(FakeVecEnv(2), desired_kl=0.02, learning_rate=1e-4)
+    ppo._adapt_rate(0.05)
+    assert ppo.actor_rate == pytest.approx(0.5e-4)
+    ppo._adapt_rate(0.001)
+    assert ppo.actor_rate == pytest.approx(1e-4)
+    ppo._adapt_rate(0.02)
+    assert ppo.actor_rate == pytest.approx(1e-4)
+    fixed = small_ppo(FakeVecEnv(2), desired_kl=None, learning_rate=1e-4)
+    fixed._adapt_rate(5.0)
+    assert fixed.actor_rate == pytest.approx(1e-4)
+
+
+def test_truncated_episodes_are_worth_what_the_critic_says_of_their_last_state():
+    env = FakeVecEnv(2)
+    env.episode_frames = 16
+    ppo = small_ppo(env, reward_scale=1.0)
+    ppo.iterate(nothing, 0.0)
+    values: list[torch.Tensor] = []
+    predict = ppo.policy.predict_values
+
+    def recorded(obs: torch.Tensor) -> torch.Tensor:
+        values.append(predict(obs))
+        return values[-1]
+
+    ppo.policy.predict_values = recorded  # type: ignore[method-assign]
+    raw: list[np.ndarray] = []
+    ppo.iterate(lambda rewards, *_: raw.append(rewards.copy()), 0.0)
+    terminal = next(v for v in values if v.shape == (2, 1))
+    expected = torch.from_numpy(raw[-1]) + ppo.gamma * terminal.squeeze(1)
+    torch.testing.assert_close(ppo.rollout_buffer.rewards[-1], expected)
+    torch.testing.assert_close(ppo.rollout_buffer.rewards[0], torch.from_numpy(raw[0]))
+
+
+def test_normaliser_changes_only_between_rollout_and_next_rollout():
+    ppo = small_ppo(FakeVecEnv(8))
+    norm = ppo.policy.actor.norm
+    before = [p.detach().clone() for p in ppo.policy.parameters()]
+    ppo.iterate(nothing, 0.0)
+    assert norm.count.item() == 128
+    # The first rollout only measured the observations.
+    assert all(torch.equal(a, b) for a, b in zip(before, ppo.policy.parameters(), strict=True))
+    mean = norm.mean.clone()
+    seen: list[torch.Tensor] = []
+    step = ppo._step
+    ppo._step = lambda *a: (seen.append(norm.mean.clone()), step(*a))[1]  # type: ignore
+    ppo.iterate(nothing, 0.0)
+    assert seen
+    assert all(torch.equal(m, mean) for m in seen)
+    assert not torch.equal(norm.mean, mean)
+    assert norm.count.item() == 256
+
+
+def test_ppo_learns_to_follow():
+    env = FakeVecEnv(32)
+    ppo = small_ppo(env)
+    rewards: list[float] = []
+    while ppo.num_timesteps < 50_000:
+        ppo.iterate(lambda r, *_: rewards.append(float(r.mean())), 0.0)
+    assert np.mean(rewards[-100:]) > 3 * np.mean(rewards[:20])
+
+
+def test_ppo_runs_through_stable_baselines_learn():
+    ppo = small_ppo(FakeVecEnv(8))
+    ppo.learn(400)
+    assert ppo.num_timesteps == 512
+    assert ppo.ep_info_buffer
+
+
+def test_same_seed_gives_the_same_weights():
+    def weights() -> torch.Tensor:
+        torch.manual_seed(1)
+        ppo = small_ppo(FakeVecEnv(8, seed=1), seed=1)
+        for _ in range(3):
+            ppo.iterate(nothing, 0.0)
+        return torch.cat([p.detach().flatten() for p in ppo.policy.parameters()])
+
+    assert torch.equal(weights(), weights())
+
+
+def test_frozen_actor_keeps_its_weights_while_the_critic_learns():
+    ppo = small_ppo(FakeVecEnv(8))
+    ppo.iterate(nothing, 0.0)
+    ppo.actor_frozen = True
+    obs = ppo.rollout_buffer.flat_observations().clone()
+    layers = [p.detach().clone() for p in ppo.policy.actor_parameters()]
+    values = ppo.policy.predict_values(obs).detach()
+    ppo.iterate(nothing, 0.0)
+    assert all(
+        torch.equal(a, b) for a, b in zip(layers, ppo.policy.actor_parameters(), strict=True)
+    )
+    assert not torch.allclose(ppo.policy.predict_values(obs), values)
+
+
+def test_reward_that_is_not_finite_stops_training():
+    env = FakeVecEnv(4)
+    ppo = small_ppo(env)
+    ppo.iterate(nothing, 0.0)
+    env.reference = lambda ahead: np.full((4, 33), np.nan)  # type: ignore[method-assign]
+    with pytest.raises(TrainingError, match=r"training step 68: the reward is not finite"):
+        ppo.iterate(nothing, 0.0)
+
+
+def test_memory_forgets_the_oldest_states():
+    memory = Memory(5, 1, 1)
+    for first in (0, 3, 6):
+        rows = torch.arange(first, first + 3.0)[:, None]
+        memory.add(rows, rows * 10)
+    assert memory.size == 5
+    assert sorted(memory.observations.flatten().tolist()) == [4, 5, 6, 7, 8]
+    assert torch.equal(memory.labels, 10 * memory.observations)
+
+
+def trained_teacher(env: FakeVecEnv) -> PolicyAgent:
+    ppo = small_ppo(env)
+    while ppo.num_timesteps < 40_000:
+        ppo.iterate(nothing, 0.0)
+    teacher = PolicyAgent(ppo.policy, Needs(privileged=True))
+    teacher.bind(env)
+    return teacher
+
+
+def test_student_comes_to_act_like_its_teacher_from_sparse_observations():
+    env = FakeVecEnv(32)
+    teacher = trained_teacher(env)
+    sparse = Layout.of(env.layout).within(SPARSE_BLOCKS)
+    student = new_policy(PolicySpec(SPARSE_BLOCKS, (), (64,), "elu"), sparse)
+    config = DaggerConfig(mix_steps=5000, capacity=20_000, minibatch=256)
+    dagger = Dagger(env, teacher, student, config, seed=0)
+    assert dagger.beta == 1.0
+    obs = env.reset()
+    before = np.abs(student.predict_batch(obs) - teacher.act(obs)).mean()
+    while dagger.num_timesteps < 30_000:
+        dagger.iterate(nothing, dagger.num_timesteps / 30_000)
+    assert dagger.beta == 0.0
+    after = np.abs(student.predict_batch(obs) - teacher.act(obs)).mean()
+    assert after < 0.2 * before
+    # It reads nothing but the sparse part.
+    obs_without = obs.copy()
+    obs_without[:, 100:] = 7.0
+    np.testing.assert_array_equal(student.predict_batch(obs_without), student.predict_batch(obs))
+
+
+def followed(score: float) -> Followed:
+    return Followed(
+        frames=np.array([10, 5]),
+        fell=np.array([False, True]),
+        total_reward=np.array([10.0, 10.0]) * score,
+        length=np.array([10, 10]),
+        kinds=("walk", "run"),
+        mean_error_m=np.array([0.1, 0.4]),
+        seconds=1.0,
+    )
+
+
+def test_evaluation_figures_weigh_falls():
+    figures = evaluation_figures(followed(0.5))
+    assert figures["score"] == 0.5
+    assert figures["tracked"] == 0.5
+    assert figures["link_error_cm"] == pytest.approx(20.0)
+    assert figures["tracked_walk"] == 1.0
+    assert figures["tracked_run"] == 0.0
+
+
+def make_stage(folder: Path, seed: int = 0, steps: int = 512, scores=None, **options) -> Stage:
+    env = FakeVecEnv(8, seed)
+    scores = iter(scores) if scores is not None else None
+    return Stage(
+        name="teacher",
+        learner=small_ppo(env, seed),
+        env=env,
+        needs=Needs(privileged=True),
+        folder=folder,
+        budget=Budget(None, steps),
+        validate=lambda agent: followed(next(scores) if scores else 0.5),
+        evaluate_every=256,
+        record={},
+        **options,
+    )
+
+
+def run(stage: Stage) -> Stage:
+    with Display() as display:
+        stage.run(display, Stopper())
+    return stage
+
+
+def test_resumed_stage_is_in_the_state_it_was_saved_in(tmp_path):
+    first = run(make_stage(tmp_path))
+    again = make_stage(tmp_path, seed=9, steps=1024)
+    again.resume()
+    assert again.learner.num_timesteps == 512
+    a, b = first.learner.state_dict(), again.learner.state_dict()
+    for name, tensor in a["policy"].items():
+        assert torch.equal(tensor, b["policy"][name]), name
+    for i, moments in a["optimizer"]["state"].items():
+        assert torch.equal(moments["exp_avg_sq"], b["optimizer"]["state"][i]["exp_avg_sq"])
+    assert torch.equal(a["generator"], b["generator"])
+    assert a["actor_rate"] == b["actor_rate"]
+    assert first.env.get_state()["random"] == again.env.get_state()["random"]
+    assert again.history == first.history
+    assert again.budget.elapsed > again.budget.spent > 0
+    run(again)
+    assert again.learner.num_timesteps == 1024
+    assert again.history[-1]["steps"] == 1024
+
+
+def test_resumed_stage_continues_as_the_interrupted_one_would_have(tmp_path):
+    """From the same simulation state, the same bits."""
+    first, again = run(make_stage(tmp_path)), make_stage(tmp_path, seed=9)
+    again.resume()
+    for stage in (first, again):
+        stage.learner._last_obs = stage.env.reset()  # type: ignore[attr-defined]
+        stage.learner.iterate(nothing, 0.0)
+    for a, b in zip(
+        first.learner.policy.parameters(), again.learner.policy.parameters(), strict=True
+    ):
+        assert torch.equal(a, b)
+
+
+def test_best_checkpoint_is_that_of_the_best_evaluation(tmp_path):
+    run(make_stage(tmp_path, steps=768, scores=[0.1, 0.4, 0.3, 0.2]))
+    best = yaml.safe_load((tmp_path / "best" / "policy.yaml").read_text())
+    last = yaml.safe_load((tmp_path / "last" / "policy.yaml").read_text())
+    assert best["training"]["steps"] == 256
+    assert last["training"]["steps"] == 768
+
+
+def test_fine_tuning_that_does_not_help_is_not_kept(tmp_path):
+    run(make_stage(tmp_path / "worse", scores=[0.5, 0.4, 0.3], must_improve=True))
+    assert not (tmp_path / "worse" / "best").exists()
+    run(make_stage(tmp_path / "better", scores=[0.5, 0.4, 0.6], must_improve=True))
+    assert (tmp_path / "better" / "best").exists()
+
+
+def test_ctrl_c_ends_the_stage_after_the_iteration_and_saves(tmp_path):
+    def interrupt(steps: int) -> None:
+        if steps == 256:
+            signal.raise_signal(signal.SIGINT)
+
+    stopper = Stopper()
+    stage = make_stage(tmp_path, steps=10_000, before_iteration=interrupt)
+    with Display() as display, stopper.listening():
+        stage.run(display, stopper)
+    assert stopper.requested
+    assert load_resume(tmp_path / "last")["learner"]["steps"] == 384
+
+
+def test_not_finite_reward_keeps_the_last_good_checkpoint(tmp_path):
+    def poison(steps: int) -> None:
+        if steps == 512:
+            stage.env.reference = lambda ahead: np.full((8, 33), np.nan)
+
+    stage = make_stage(tmp_path, steps=10_000, before_iteration=poison)
+    with pytest.raises(TrainingError, match="step 520"):
+        run(stage)
+    kept = load_agent(tmp_path / "last")
+    assert isinstance(kept, PolicyAgent)
+    assert kept.card["training"]["steps"] == 512
+
+
+def test_budget_ends_with_time_or_steps_whichever_comes_first():
+    assert Budget(None, 100).progress(50) == 0.5
+    assert Budget(100.0, None, spent=150.0).progress(0) > 1
+    assert Budget(1e6, 100).progress(100) == 1.0
+    assert Budget(0.0, None).progress(0) == 1.0
+
+
+def test_fixed_evaluation_set_has_every_kind_and_does_not_depend_on_order():
+    clips = [swaying_clip(f"{kind}{i}", frames=12, kind=kind) for kind in "abcd" for i in range(10)]
+    chosen = choose_clips(clips, 8)
+    assert sorted({clip.kind for clip in chosen}) == list("abcd")
+    assert [c.name for c in choose_clips(clips[::-1], 8)] == [c.name for c in chosen]
+    assert len(choose_clips(clips, 100)) == 40
+
+
+def test_held_out_style_is_evaluated_and_not_learnt():
+    clips = [replace(swaying_clip(s, frames=12), style=s) for s in ("calm", "old", "young")]
+    learnt, fixed = split_validation(clips, "old", 10)
+    assert [c.name for c in learnt] == ["calm", "young"]
+    assert [c.name for c in fixed] == ["old"]
+    with pytest.raises(InputError, match="'angry'"):
+        split_validation(clips, "angry", 10)
+    with pytest.raises(InputError, match="nothing is left"):
+        split_validation(clips, "calm,old,young", 10)
+
+
+@pytest.fixture
+def clips(monkeypatch):
+    found = [swaying_clip(f"sway{i}", frames=40, height_m=1.6 + 0.1 * i) for i in range(3)]
+    monkeypatch.setattr(training, "load_clips", lambda args: found)
+    return found
+
+
+def tiny(out: Path, **options) -> TrainArgs:
+    return TrainArgs(
+        **({"out": out, "preset": "smoke", "steps": 256, "envs": 8, "threads": 1} | options)
+    )
+
+
+def test_training_runs_its_stages_and_goes_on(clips, tmp_path):
+    out = tmp_path / "run"
+    assert train(tiny(out)) == 0
+    record = yaml.safe_load((out / "run.yaml").read_text())
+    assert record["format_version"] == 1
+    assert record["args"]["seed"] == 0
+    assert record["data"]["clips"] == 3
+    assert len(record["data"]["sha256"]) == 64
+    assert record["versions"]["torch"] == torch.__version__
+    assert list((out / "teacher" / "tensorboard").iterdir())
+    student = load_agent(out)
+    assert isinstance(student, PolicyAgent)
+    assert student.card["training"]["stage"] == "student"
+    assert not student.needs.privileged
+    assert train(tiny(out, resume=True, steps=512, stage="teacher")) == 0
+    assert load_resume(out / "teacher" / "last")["learner"]["steps"] == 512
+    assert load_resume(out / "student" / "last")["learner"]["steps"] == 256
+
+
+def test_student_of_another_sensor_set_has_the_same_teacher(clips, tmp_path):
+    train(tiny(tmp_path / "t", stage="teacher"))
+    options = {"stage": "student", "teacher": tmp_path / "t", "sensors": "H", "future_frames": 0}
+    assert train(tiny(tmp_path / "s", **options)) == 0
+    agent = load_agent(tmp_path / "s")
+    assert isinstance(agent, PolicyAgent)
+    assert agent.policy.layout.sizes()["o_user"] == 9
+    with pytest.raises(InputError, match="is no teacher"):
+        train(tiny(tmp_path / "u", stage="student", teacher=tmp_path / "s"))
+
+
+def test_fine_tuning_starts_from_the_student(clips, tmp_path, monkeypatch):
+    smoke = PRESETS["smoke"]
+    student = smoke.stages["student"]
+    finetune = replace(
+        PRESETS["cpu"].stages["finetune"],
+        policy=replace(student.policy, critic_blocks=(*SPARSE_BLOCKS, "privileged")),
+        learning=PPOConfig(minibatch=64, critic_warmup_steps=10_000),
+    )
+    stages = smoke.stages | {"finetune": finetune}
+    monkeypatch.setitem(training.PRESETS, "smoke", replace(smoke, stages=stages))
+    out = tmp_path / "run"
+    train(tiny(out))
+    train(tiny(out, resume=True, stage="finetune"))
+    a, b = load_agent(out / "student" / "best"), load_agent(out / "finetune" / "last")
+    assert isinstance(a, PolicyAgent)
+    assert isinstance(b, PolicyAgent)
+    for name, weight in a.policy.actor.layers.state_dict().items():
+        # All of it was the critic's warm-up.
+        assert torch.equal(weight, b.policy.actor.layers.state_dict()[name])
+
+
+def test_run_folders_that_do_not_fit_are_refused(clips, tmp_path):
+    out = tmp_path / "run"
+    with pytest.raises(InputError, match="no run to resume"):
+        train(tiny(out, resume=True))
+    with pytest.raises(InputError, match="has no stage 'ppo'"):
+        train(tiny(out, stage="ppo"))
+    assert not out.exists()
+    train(tiny(out, stage="teacher", steps=128))
+    with pytest.raises(InputError, match="holds a run already"):
+        train(tiny(out))
+    with pytest.raises(InputError, match="--seed was 0, not 1"):
+        train(tiny(out, resume=True, seed=1))
+    clips.pop()
+    with pytest.raises(InputError, match="not those it was started with"):
+        train(tiny(out, resume=True))
+    record = yaml.safe_load((out / "run.yaml").read_text())
+    (out / "run.yaml").write_text(yaml.safe_dump(record | {"format_version": 0}))
+    with pytest.raises(InputError, match="format_version is 0"):
+        train(tiny(out, resume=True))
+
+
+def test_published_preset_is_as_published():
+    paper = PRESETS["paper"]
+    (stage,) = paper.stages.values()
+    ppo = stage.learning
+    assert isinstance(ppo, PPOConfig)
+    assert (paper.num_envs, ppo.rollout_steps) == (4000, 15)
+    assert ppo.rollout_steps * paper.num_envs == 4 * ppo.minibatch == 60_000
+    assert (ppo.epochs, ppo.clip, ppo.gamma, ppo.gae_lambda) == (5, 0.2, 0.97, 0.95)
+    assert (ppo.learning_rate, ppo.desired_kl) == (1e-4, None)
+    assert stage.policy == PolicySpec(hidden=(400, 300, 200), activation="tanh", torque_head=False)
+    assert (ppo.noise_legs_and_trunk, ppo.noise_arms_and_neck) == (0.03, 0.03)
+    assert paper.body_preset == "paper"
+    assert not stage.privileged
