@@ -143,6 +143,14 @@ def test_a_bandai_walk_goes_the_way_it_faces_with_knees_that_bend_backwards(band
         assert abs(knee[:, [0, 2]]).max() < 5
 
 
+def test_bandai_elbows_flex_forward_from_the_t_pose(bandai):
+    motion, _ = read_motion(bandai / "dataset-2_run_normal_001.bvh")
+    for side, sign in (("left", -1), ("right", 1)):
+        elbow = rot.as_rotation(motion.rotations[:, joint(f"{side}_elbow")]).as_rotvec(degrees=True)
+        assert np.median(sign * elbow[:, 2]) > 60 and (sign * elbow[:, 2]).min() > -5
+        assert abs(np.median(elbow[:, :2], axis=0)).max() < 15
+
+
 def test_waving_the_right_hand_raises_the_right_hand(bandai):
     motion, _ = read_motion(bandai / "dataset-2_wave-right-hand_normal_001.bvh")
     height = motion.forward_kinematics()[0][..., 2].max(axis=0)

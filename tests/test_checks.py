@@ -124,6 +124,16 @@ def test_who_never_leaves_the_floor_shows_no_free_fall(person):
     assert free_fall(motion, motion.forward_kinematics()[0]) is None
 
 
+def test_feet_that_dangle_for_seconds_are_no_flight(person):
+    motion, _ = read_motion(person)
+    seconds = np.arange(120) / motion.fps
+    root = np.tile(motion.root_position[0], (120, 1))
+    root[30:90, 2] += 0.4 + 0.2 * np.sin(2 * seconds[:60])
+    rotations = np.tile(motion.rotations[:1], (120, 1, 1))
+    motion = replace(motion, root_position=root, rotations=rotations)
+    assert free_fall(motion, motion.forward_kinematics()[0]) is None
+
+
 def test_the_centre_of_mass_of_a_standing_person_is_a_little_above_the_hips(person):
     motion, _ = read_motion(person)
     position, _ = motion.forward_kinematics()
