@@ -89,6 +89,7 @@ class Gait:
             heel-rise until toe-off.
         lift: scale of the swing's normative rise of the foot.
         impact: speed in m/s, forward and down, with which the swinging foot meets the floor.
+        clearance_m: of the sole at least, in the middle of the swing (Winter 1992: 1-2 cm walking).
         bob_m: half the rise and fall of the pelvis (walking; jogging is ballistic).
         pelvis_turn, pelvis_list, chest_turn, lean: amplitudes and lean in radians.
         shoulder_mean, shoulder_swing, elbow_mean, elbow_swing, abduction: of the arms, radians.
@@ -105,6 +106,7 @@ class Gait:
     rise_share: float
     lift: float
     impact: tuple[float, float]
+    clearance_m: float
     bob_m: float
     pelvis_turn: float
     pelvis_list: float
@@ -147,9 +149,10 @@ def gait_at(speed: float, leg_m: float, jog: bool) -> Gait:
             strike_pitch=-np.deg2rad(2.0 + 6.0 * v),
             push_pitch=np.deg2rad(38.0 + 14.0 * v),
             flat_share=0.07,
-            rise_share=0.30,
+            rise_share=0.33,
             lift=float(np.clip(0.25 + 0.65 * v, 0.4, 1.1)),
-            impact=(0.7 * speed, 0.9),
+            impact=(0.6 * speed, 0.9),
+            clearance_m=0.035,
             bob_m=0.0,
             pelvis_turn=np.deg2rad(6.0),
             pelvis_list=np.deg2rad(3.5),
@@ -172,7 +175,8 @@ def gait_at(speed: float, leg_m: float, jog: bool) -> Gait:
         flat_share=0.10,
         rise_share=0.32,
         lift=float(np.clip(0.55 + v, 0.7, 1.1)),
-        impact=(0.8 * speed, 0.15),
+        impact=(0.6 * speed, 0.35),
+        clearance_m=0.02,
         bob_m=0.5 * (0.009 + 0.0235 * speed),
         pelvis_turn=np.deg2rad(9.5) * v,
         pelvis_list=np.deg2rad(1.5 + 5.0 * v),

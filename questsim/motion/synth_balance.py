@@ -17,6 +17,8 @@ from questsim.motion.gait_curves import GRAVITY, Gait
 from questsim.motion.synth_feet import Feet
 from questsim.motion.synth_plan import Steps
 from questsim.motion.synth_pose import (
+    FULL_STRETCH,
+    JOGGING_STRETCH,
     Posture,
     highest_root,
     link_centers,
@@ -67,11 +69,12 @@ def settle(
     offset = np.zeros((len(time), 3))
     offset[:, 2] = 0.07
     root = np.column_stack([cop, height])
+    stretch = JOGGING_STRETCH if jog else FULL_STRETCH
     qpos, wanted = np.empty(0), cop
     for _ in range(_ROUNDS):
         root[:, :2] = balanced_path(wanted, root[:, 2] + offset[:, 2], time) - offset[:, :2]
         root[:, 2] = height
-        excess = root[:, 2] - highest_root(feet, root, pelvis)
+        excess = root[:, 2] - highest_root(feet, root, pelvis, stretch)
         root[:, 2] -= max(excess[shown].max(), 0.0) if jog else _lowering(excess, time)
         qpos = solve(posture, root, feet)
         centers, share = link_centers(qpos)

@@ -19,8 +19,6 @@ from questsim.motion.kinematics import link_offsets, sole_points
 from questsim.motion.synth_plan import Stance, Steps, smoothstep
 from questsim.skeleton import LINKS
 
-CLEARANCE_M = 0.012
-"""A swinging foot passes the floor at least this high (Winter 1992: toes clear by 1-2 cm)."""
 FULL_STRIDE_M = 0.9
 """A foot carried this far or farther swings with the full normative shape."""
 BRAKING = 4.0
@@ -150,7 +148,7 @@ def _swing(
     pitch = _shaped(full, shape.pitch, leave[:, 3], arrive[:, 3], span, u)
     low = _lowest(ankle[:, 2], pitch)
     bell = (4.0 * u * (1.0 - u)) ** 2
-    short = np.max((CLEARANCE_M - low) * (bell > 0.3), initial=0.0)
+    short = np.max((gait.clearance_m - low) * (bell > 0.3), initial=0.0)
     ankle[:, 2] += short * bell
     return ankle, a.yaw + (b.yaw - a.yaw) * smoothstep(u), pitch
 

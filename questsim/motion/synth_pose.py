@@ -13,8 +13,9 @@ from questsim.motion.kinematics import link_poses
 from questsim.motion.synth_feet import Feet, leg_lengths
 from questsim.skeleton import DOFS
 
-FULL_STRETCH = 0.9985
-"""A leg reaches at most this share of its length: nearer to straight, the knee would snap."""
+FULL_STRETCH, JOGGING_STRETCH = 0.9985, 0.99
+"""A leg reaches at most this share of its length: nearer to straight, the knee would snap;
+joggers land on a bent knee."""
 _SHOULDER_TURN = (-np.pi / 4, np.pi / 4)
 
 
@@ -126,12 +127,17 @@ def shoulder_angles(upper: np.ndarray, side: int) -> np.ndarray:
     return np.unwrap(euler, axis=0)
 
 
-def highest_root(feet: Feet, root: np.ndarray, pelvis: Rotation) -> np.ndarray:
-    """How high the root may be ``(T,)`` so that both legs reach their feet."""
+def highest_root(
+    feet: Feet, root: np.ndarray, pelvis: Rotation, stretch: float = FULL_STRETCH
+) -> np.ndarray:
+    """How high the root may be ``(T,)`` so that both legs reach their feet.
+
+    A leg may be stretched to the share ``stretch`` of its length.
+    """
     thigh, shank, _ = leg_lengths()
     gap = feet.ankle - hips(root, pelvis)
     flat = np.sum(gap[..., :2] ** 2, axis=-1)
-    reach = (FULL_STRETCH * (thigh + shank)) ** 2
+    reach = (stretch * (thigh + shank)) ** 2
     rise = np.sqrt(np.maximum(reach - flat, 1e-4))
     return root[:, 2] + np.min(gap[..., 2] + rise, axis=0)
 

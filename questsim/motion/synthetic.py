@@ -95,6 +95,7 @@ def synthesise(
         InputError: unknown kind, or a value out of range.
     """
     wish = _checked(kind, speed, turn_rate, duration, height_m, start, stop)
+    _check_seed(seed)
     qpos = _poses(wish, np.random.default_rng([seed, zlib.crc32(kind.encode())]))
     if name is None:
         parts = ["synthetic", kind]
@@ -162,6 +163,11 @@ def _checked(
         start=start,
         stop=stop,
     )
+
+
+def _check_seed(seed: int) -> None:
+    if seed < 0:
+        raise InputError(f"seed {seed} is below zero")
 
 
 def _within(what: str, value: float, least: float, most: float, unit: str) -> None:
@@ -299,15 +305,16 @@ def synthetic_clips(seed: int = 0, heights: tuple[float, ...] = (DEFAULT_HEIGHT_
             root of the height.
 
     Raises:
-        InputError: a height is outside 1.4 to 2.0 m.
+        InputError: a height is outside 1.4 to 2.0 m, or the seed is below zero.
     """
+    _check_seed(seed)
     made = []
     for height in heights:
         pace = float(np.sqrt(height / DEFAULT_HEIGHT_M))
         for number, (label, kind, seconds, options) in enumerate(_catalogue()):
             given = dict(options)
             if "speed" in given:
-                given["speed"] = float(np.clip(given["speed"] * pace, 0.0, MAX_SPEED))
+                given["speed"] = _scaled(kind, float(given["speed"]), pace)
             wish = _checked(
                 kind,
                 given.get("speed"),
@@ -321,6 +328,13 @@ def synthetic_clips(seed: int = 0, heights: tuple[float, ...] = (DEFAULT_HEIGHT_
             suffix = f"-{height:g}m" if len(heights) > 1 else ""
             made.append((f"synthetic-{label}{suffix}", kind, qpos, height))
     return _clips(made)
+
+
+def _scaled(kind: str, speed: float, pace: float) -> float:
+    """The speed that is to another body what ``speed`` is to the default one, if offered."""
+    slowest = {"walk": MIN_SPEED, "backwards": 0.3, "side-left": 0.2, "side-right": 0.2}
+    fastest = {"jog": MAX_SPEED, "backwards": 1.1, "side-left": 0.6, "side-right": 0.6}
+    return float(np.clip(speed * pace, slowest.get(kind, 0.0), fastest.get(kind, MAX_SPEED)))
 
 
 def _catalogue() -> list[tuple[str, str, float, dict[str, float | bool]]]:
