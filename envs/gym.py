@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -51,7 +51,7 @@ class QuestEnv(gym.Env[np.ndarray, np.ndarray]):
         render_mode: ``"rgb_array"`` or None.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 36}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 36}
 
     def __init__(
         self,
@@ -66,6 +66,7 @@ class QuestEnv(gym.Env[np.ndarray, np.ndarray]):
         self.observation_space, self.action_space = _spaces(self.sim)
         self.render_mode = render_mode
         self._renderer: Any = None
+        self._azimuth = 0.0
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -121,11 +122,15 @@ class QuestEnv(gym.Env[np.ndarray, np.ndarray]):
         """The avatar as an image ``(480, 640, 3)`` uint8, or None without a render mode."""
         if self.render_mode is None:
             return None
-        if self._renderer is None:
-            from questsim.viewing.render import SceneRenderer
+        from questsim.viewing.camera import Camera, three_quarter_azimuth
+        from questsim.viewing.render import Figure, SceneRenderer
 
-            self._renderer = SceneRenderer(float(self.sim.heights[0]))
-        return self._renderer.render(self.sim.qpos[0])
+        pose, height = self.sim.qpos[0], float(self.sim.heights[0])
+        if self._renderer is None:
+            self._renderer = SceneRenderer([Figure(height)])
+            self._azimuth = three_quarter_azimuth(pose[None, 3:7])
+        lookat = np.array([pose[0], pose[1], height / 2.0])
+        return self._renderer.render([pose], Camera(lookat, 2.0 * height, self._azimuth))
 
     def close(self) -> None:
         """Release the renderer and the threads."""
@@ -148,7 +153,7 @@ class QuestVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         seed, num_threads: as of ``BatchSim``.
     """
 
-    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    metadata: ClassVar[dict[str, Any]] = {"autoreset_mode": AutoresetMode.SAME_STEP}
 
     def __init__(
         self,

@@ -8,6 +8,7 @@ of the others, so that results do not depend on how the batch is split among thr
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import numba
@@ -188,4 +189,4 @@ def score(
 def chunks(count: int, parts: int) -> list[tuple[int, int]]:
     """``parts`` near-equal ranges that cover ``range(count)``, without empty ones."""
     edges = np.linspace(0, count, min(parts, count) + 1).astype(int)
-    return [(int(a), int(b)) for a, b in zip(edges, edges[1:], strict=False) if b > a]
+    return [(int(a), int(b)) for a, b in pairwise(edges) if b > a]

@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from envs.config import EnvConfig
 from envs.core import BatchSim
@@ -77,11 +77,18 @@ class QuestVecEnv(VecEnv):
         self._length[:] = 0
         return self.sim.observation.copy()
 
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """Step all environments: observations, rewards, dones and infos."""
+        self.step_async(actions)
+        return self.step_wait()
+
     def step_async(self, actions: np.ndarray) -> None:
         """Take the actions ``(n, 33)`` of the next step."""
         self._action[:] = actions
 
-    def step_wait(self) -> VecEnvStepReturn:
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Step; see the class for what infos hold."""
         sim = self.sim
         self._advance()

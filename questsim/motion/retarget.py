@@ -10,6 +10,7 @@ angles that follow are kept within the body's ranges.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -147,6 +148,11 @@ def _link_offset(link: str, height: float) -> np.ndarray:
     return link_offsets()[LINKS.index(link)] * (height / DEFAULT_HEIGHT_M)
 
 
+def _length(link: str, height: float) -> float:
+    """Metres from the parent's origin to the link's."""
+    return float(np.linalg.norm(_link_offset(link, height)))
+
+
 def _leg_ratio(motion: Motion, height: float) -> float:
     """Avatar's over the motion's length of thigh and shin."""
     motion_leg = sum(
@@ -186,7 +192,7 @@ def _trunk(quat: np.ndarray, angles: np.ndarray) -> dict[str, np.ndarray]:
         "head": quat[:, _joint("head")],
     }
     names = list(links)
-    for parent, child in zip(names, names[1:], strict=False):
+    for parent, child in pairwise(names):
         hinge = "neck" if child == "head" else child
         dofs = _dofs(f"{hinge}_y", f"{hinge}_x", f"{hinge}_z")
         angles[:, dofs] = _euler(_relative(links[parent], links[child]), "YXZ")
@@ -290,8 +296,8 @@ def _leg(
     pelvis = quat[:, _joint("root")]
     hip = root + rot.quat_rotate(pelvis, _link_offset(f"{side}_thigh", height))
     knee_axis = rot.quat_rotate(quat[:, _joint(f"{side}_hip")], np.array([0.0, 1.0, 0.0]))
-    thigh_length = np.linalg.norm(_link_offset(f"{side}_shin", height))
-    shin_length = np.linalg.norm(_link_offset(f"{side}_foot", height))
+    thigh_length = _length(f"{side}_shin", height)
+    shin_length = _length(f"{side}_foot", height)
     thigh, shin, knee = _two_bones(ankle - hip, knee_axis, thigh_length, shin_length, bend=1.0)
     angles[:, _dofs(f"{side}_hip_y", f"{side}_hip_x", f"{side}_hip_z")] = _euler(
         _relative(pelvis, thigh), "YXZ"
@@ -311,8 +317,8 @@ def _arm(
     angles: np.ndarray,
 ) -> None:
     """Fill the six angles of an arm; positions are relative, so the root does not matter."""
-    upper_length = np.linalg.norm(_link_offset(f"{side}_forearm", height))
-    lower_length = np.linalg.norm(_link_offset(f"{side}_hand", height))
+    upper_length = _length(f"{side}_forearm", height)
+    lower_length = _length(f"{side}_hand", height)
     shoulder = _link_offset(f"{side}_upper_arm", height)
     span, centre = _arm_rest(motion)
     ratio = (abs(shoulder[1]) + upper_length + lower_length) / span
@@ -330,7 +336,7 @@ def _arm(
     axis = np.cross(_unit(reach), _unit(upper)) + STRAIGHT_ARM_WEIGHT * own_axis
     arm, forearm, elbow = _two_bones(reach, axis, upper_length, lower_length, bend=-1.0)
 
-    turn = rot.yaw_quat(SHOULDER_TURN[side])
+    turn = rot.yaw_quat(np.array(SHOULDER_TURN[side]))
     relative = rot.quat_multiply(_relative(turn, _relative(links["chest"], arm)), turn)
     dofs = _dofs(f"{side}_shoulder_x", f"{side}_shoulder_y", f"{side}_shoulder_z")
     angles[:, dofs] = _within_turn(_euler(relative, "XYZ"), dofs)
