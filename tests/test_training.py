@@ -11,6 +11,7 @@ import pytest
 import torch
 import yaml
 from fake_env import FakeVecEnv
+from gymnasium import spaces
 from helpers import swaying_clip
 
 from agents import training
@@ -43,6 +44,15 @@ def small_ppo(env: FakeVecEnv, seed: int = 0, **changes) -> AdaptivePPO:
     return make_ppo(config, config.learning, env, seed)  # type: ignore[arg-type]
 
 
+def buffer_for(
+    env: FakeVecEnv, steps: int, decay: float = 0.95, gamma: float = 0.97
+) -> TensorRolloutBuffer:
+    observations, actions = env.observation_space, env.action_space
+    assert isinstance(observations, spaces.Box)
+    assert isinstance(actions, spaces.Box)
+    return TensorRolloutBuffer(steps, observations, actions, "cpu", decay, gamma, env.num_envs)
+
+
 def nothing(*_: object) -> None:
     """An observer that looks away."""
 
@@ -51,9 +61,7 @@ def test_advantages_are_discounted_sums_of_surprises_up_to_the_episodes_end():
     rng = np.random.default_rng(0)
     steps, envs, gamma, decay = 7, 3, 0.9, 0.8
     env = FakeVecEnv(envs)
-    buffer = TensorRolloutBuffer(
-        steps, env.observation_space, env.action_space, "cpu", decay, gamma, envs
-    )
+    buffer = buffer_for(env, steps, decay, gamma)
     buffer.rewards[:] = torch.from_numpy(rng.normal(size=(steps, envs)))
     buffer.values[:] = torch.from_numpy(rng.normal(size=(steps, envs)))
     buffer.dones[:] = torch.from_numpy(rng.random((steps, envs)) < 0.3)
@@ -75,7 +83,7 @@ def test_advantages_are_discounted_sums_of_surprises_up_to_the_episodes_end():
 
 def test_minibatches_visit_every_row_once_with_its_own_numbers():
     env = FakeVecEnv(4)
-    buffer = TensorRolloutBuffer(5, env.observation_space, env.action_space, n_envs=4)
+    buffer = buffer_for(env, 5)
     buffer.values[:] = torch.arange(20.0).view(5, 4)
     buffer.observations[..., 0] = buffer.values
     batches = list(buffer.minibatches(6, torch.Generator().manual_seed(0)))

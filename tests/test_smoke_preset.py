@@ -1,0 +1,29 @@
+"""The whole of training in little: it must be worth more than doing nothing."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+from agents.agent import load_agent
+from agents.evaluation import env_config
+from agents.rolling import choose_clips, evaluation_sim, follow
+from agents.training import TrainArgs, train
+from questsim.motion.spec import load_motions
+
+
+def test_smoke_training_beats_no_torque_and_random_torques(tmp_path):
+    began = time.process_time()
+    assert train(TrainArgs(tmp_path / "run", preset="smoke")) == 0
+    # Processor time of both threads, which does not depend on what else the machine does.
+    assert time.process_time() - began < 4 * 60
+    clips = choose_clips(load_motions("synthetic"), 24)
+    scores = {}
+    for name in ("zero", "random", str(tmp_path / "run")):
+        agent = load_agent(name)
+        sim = evaluation_sim(clips, replace(env_config(agent), fixed_start=True))
+        agent.bind(sim)
+        scores[name] = follow(agent, sim, clips).score
+    zero, random, trained = scores.values()
+    assert trained > 1.8 * zero
+    assert trained > 3.0 * random
