@@ -144,7 +144,7 @@ def gait_at(speed: float, leg_m: float, jog: bool) -> Gait:
             jog=True,
             stride_s=stride,
             duty=float(np.clip(0.50 - 0.15 * v, 0.30, 0.46)),
-            step_width_m=0.07,
+            step_width_m=0.085,
             toe_out=np.deg2rad(4.0),
             strike_pitch=-np.deg2rad(2.0 + 6.0 * v),
             push_pitch=np.deg2rad(38.0 + 14.0 * v),
@@ -158,11 +158,11 @@ def gait_at(speed: float, leg_m: float, jog: bool) -> Gait:
             pelvis_list=np.deg2rad(3.5),
             chest_turn=np.deg2rad(8.0),
             lean=np.deg2rad(5.0 + 4.0 * v),
-            shoulder_mean=-np.deg2rad(8.0),
+            shoulder_mean=-np.deg2rad(6.0),
             shoulder_swing=np.deg2rad(16.0 + 14.0 * v),
-            elbow_mean=np.deg2rad(85.0),
+            elbow_mean=np.deg2rad(96.0),
             elbow_swing=np.deg2rad(12.0),
-            abduction=np.deg2rad(14.0),
+            abduction=np.deg2rad(20.0),
         )
     return Gait(
         jog=False,

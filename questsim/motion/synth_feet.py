@@ -19,6 +19,8 @@ from questsim.motion.kinematics import link_offsets, sole_points
 from questsim.motion.synth_plan import Stance, Steps, smoothstep
 from questsim.skeleton import LINKS
 
+LEAVING_M_S = 0.15
+"""Speed with which the ball leaves the floor, so that it does not brush along it."""
 FULL_STRIDE_M = 0.9
 """A foot carried this far or farther swings with the full normative shape."""
 BRAKING = 4.0
@@ -138,7 +140,8 @@ def _swing(
     # The foot comes down still moving, as people's do: it does not hover over its place.
     stride = (b.ankle - a.ankle) / max(distance, 1e-6)
     arrive[1, :2] += gait.impact[0] * full * stride
-    arrive[1, 2] -= gait.impact[1] * full
+    arrive[1, 2] -= gait.impact[1] * (0.5 + 0.5 * full)
+    leave[1, 2] += LEAVING_M_S
     arrive[2, :2] = -BRAKING * (b.ankle - a.ankle) / span**2
     ankle = np.empty((len(time), 3))
     for k in range(2):

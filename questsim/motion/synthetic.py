@@ -32,10 +32,14 @@ MAX_WALK, MIN_JOG = 2.2, 1.6
 """m/s at 1.75 m; people change from walking to running near 2 m/s (Hreljac 1993)."""
 MIN_SYNTHETIC_HEIGHT_M, MAX_SYNTHETIC_HEIGHT_M = 1.4, 2.0
 MIN_SECONDS, MAX_SECONDS = 2.0, 60.0
+MAX_TURN, MAX_CENTRIPETAL = 1.5, 2.5
+"""rad/s at 1.75 m, and m/s^2 on a curve."""
 MARGIN_S = 2.5
 """A clip that begins or ends in mid-walk is made this much longer and cut."""
-SHUFFLE_STRIDE_S = 1.1
-"""Duration of a stride of side steps and turns on the spot."""
+SHUFFLE_STRIDE_S, SHUFFLE_WIDTH_M = 1.1, 0.16
+"""Of side steps and turns on the spot: duration of a stride, and least distance of the feet."""
+MAX_STRIDE_TURN = 1.05
+"""Radians that the heading turns in a stride, at most."""
 
 _SPEEDS: dict[str, tuple[float, float, float]] = {
     "walk": (MIN_SPEED, 1.3, MAX_WALK),
@@ -43,8 +47,8 @@ _SPEEDS: dict[str, tuple[float, float, float]] = {
     "turn-left": (0.0, 1.0, 2.5),
     "turn-right": (0.0, 1.0, 2.5),
     "backwards": (0.3, 0.7, 1.1),
-    "side-left": (0.2, 0.4, 0.6),
-    "side-right": (0.2, 0.4, 0.6),
+    "side-left": (0.2, 0.4, 0.55),
+    "side-right": (0.2, 0.4, 0.55),
 }
 """Kinds that travel: least, usual and greatest speed in m/s at 1.75 m."""
 
@@ -83,12 +87,12 @@ def synthesise(
         kind: one of ``KINDS``.
         speed: m/s on the path; by default the kind's usual speed. Waving and raising hands are
             done walking when a speed is given.
-        turn_rate: rad/s of ``turn-left`` and ``turn-right``, above zero; 0.8 by default.
+        turn_rate: rad/s of ``turn-left`` and ``turn-right``, 0.1 to 1.5; 0.8 by default.
         duration: seconds, 2 to 60.
         height_m: stature, 1.4 to 2.0 m.
         seed: of the small differences between people and days; same seed, same bits.
-        start: whether the clip begins standing (not of ``jog``).
-        stop: whether it ends standing (not of ``jog``).
+        start: whether the clip begins standing (not when jogging).
+        stop: whether it ends standing (not when jogging).
         name: the clip's name; made of the arguments by default.
 
     Raises:
@@ -142,18 +146,19 @@ def _checked(
     if speed is None:
         speed = usual * pace if kind in _SPEEDS else 0.0
     elif kind == "walk":
-        _within("walking speed", speed, MIN_SPEED, most * max(pace, 1.0), "m/s")
+        _within("walking speed", speed, MIN_SPEED, most * pace, "m/s")
     elif kind == "jog":
-        _within("jogging speed", speed, least * min(pace, 1.0), MAX_SPEED, "m/s")
+        _within("jogging speed", speed, least * pace, MAX_SPEED, "m/s")
     else:
-        _within(f"speed of {kind}", speed, least, most, "m/s")
+        _within(f"speed of {kind}", speed, least * pace, most * pace, "m/s")
     if kind.startswith("turn"):
         turn_rate = 0.8 if turn_rate is None else turn_rate
-        _within("turn rate", turn_rate, 0.1, 2.0, "rad/s")
+        _within("turn rate", turn_rate, 0.1, MAX_TURN / pace, "rad/s")
+        _within("speed times turn rate", speed * turn_rate, 0.0, MAX_CENTRIPETAL, "m/s^2")
     elif turn_rate is not None:
         raise InputError(f"{kind} has no turn rate", fix="use turn-left or turn-right")
-    if (start or stop) and kind == "jog":
-        raise InputError("jog neither starts nor stops", fix="leave start and stop out")
+    if (start or stop) and (kind == "jog" or speed > MAX_WALK * pace):
+        raise InputError("a jog neither starts nor stops", fix="leave start and stop out")
     return _Wish(
         kind=kind,
         seconds=duration / pace,
@@ -241,11 +246,22 @@ def _travel(
     time, shown = _frames(wish, MARGIN_S)
     pace = max(float(np.hypot(forward, left)), 0.3 * abs(turn))
     # Turning at a jog is jogging; side steps and turns on the spot are short walking steps.
-    jog = wish.kind == "jog" or forward > MAX_WALK
+    jog = wish.kind == "jog" or (turn != 0.0 and forward > MAX_WALK)
     gait = _personal(gait_at(pace, _hip_height(), jog), rng)
     if abs(forward) < 0.2:
         # Side steps and turns on the spot: quick, short and flat-footed.
-        gait = replace(gait, stride_s=SHUFFLE_STRIDE_S, push_pitch=np.deg2rad(35.0), bob_m=0.008)
+        gait = replace(
+            gait,
+            stride_s=SHUFFLE_STRIDE_S,
+            step_width_m=SHUFFLE_WIDTH_M,
+            push_pitch=np.deg2rad(35.0),
+            bob_m=0.008,
+        )
+    if turn != 0.0:
+        # The hips turn out so far only: quick turns take quick steps.
+        most = max(MAX_STRIDE_TURN / abs(turn), 0.7)
+        width = gait.step_width_m + 0.06 * min(abs(turn), 1.0)
+        gait = replace(gait, stride_s=min(gait.stride_s, most), step_width_m=width)
     first = int(rng.random() < 0.5)
     if left != 0.0 or forward == 0.0:
         first = 0 if left + turn > 0.0 else 1
@@ -314,7 +330,10 @@ def synthetic_clips(seed: int = 0, heights: tuple[float, ...] = (DEFAULT_HEIGHT_
         for number, (label, kind, seconds, options) in enumerate(_catalogue()):
             given = dict(options)
             if "speed" in given:
-                given["speed"] = _scaled(kind, float(given["speed"]), pace)
+                speed = float(given["speed"]) * pace
+                given["speed"] = max(min(speed, MAX_SPEED), MIN_SPEED if kind == "walk" else 0.0)
+            if "turn_rate" in given:
+                given["turn_rate"] = float(given["turn_rate"]) / pace
             wish = _checked(
                 kind,
                 given.get("speed"),
@@ -328,13 +347,6 @@ def synthetic_clips(seed: int = 0, heights: tuple[float, ...] = (DEFAULT_HEIGHT_
             suffix = f"-{height:g}m" if len(heights) > 1 else ""
             made.append((f"synthetic-{label}{suffix}", kind, qpos, height))
     return _clips(made)
-
-
-def _scaled(kind: str, speed: float, pace: float) -> float:
-    """The speed that is to another body what ``speed`` is to the default one, if offered."""
-    slowest = {"walk": MIN_SPEED, "backwards": 0.3, "side-left": 0.2, "side-right": 0.2}
-    fastest = {"jog": MAX_SPEED, "backwards": 1.1, "side-left": 0.6, "side-right": 0.6}
-    return float(np.clip(speed * pace, slowest.get(kind, 0.0), fastest.get(kind, MAX_SPEED)))
 
 
 def _catalogue() -> list[tuple[str, str, float, dict[str, float | bool]]]:
