@@ -1,0 +1,84 @@
+"""PPO steps/s end to end: ours against stable-baselines3's PPO on SubprocVecEnv.
+
+    python -m benchmarks.train_throughput [--json] [--envs 256] [--threads 2]
+
+Same environment, networks (400-300-200), rollout length, minibatch and epochs on both sides.
+"""
+
+from __future__ import annotations
+
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import SubprocVecEnv
+from torch import nn
+
+from agents.policy import TorquePolicy
+from agents.ppo import AdaptivePPO
+from agents.spec import Layout, PolicySpec, initial_gains
+from benchmarks.common import arguments, clips, median_rates, report
+from benchmarks.env_throughput import single_env
+from envs import EnvConfig, QuestVecEnv
+
+HIDDEN = (400, 300, 200)
+
+
+def main() -> None:
+    """Measure and print."""
+    args = arguments(
+        __doc__ or "", envs=256, threads=2, steps=16, minibatch=1024, epochs=4, repeats=3
+    )
+    torch.set_num_threads(args.threads)
+    motions = clips()
+    options = {
+        "n_steps": args.steps,
+        "batch_size": args.minibatch,
+        "n_epochs": args.epochs,
+        "seed": 0,
+    }
+    subproc = SubprocVecEnv([single_env(motions) for _ in range(args.envs)], start_method="fork")
+    reference = PPO(
+        "MlpPolicy",
+        subproc,
+        device="cpu",
+        policy_kwargs={
+            "net_arch": {"pi": list(HIDDEN), "vf": list(HIDDEN)},
+            "activation_fn": nn.ELU,
+        },
+        **options,
+    )
+    env = QuestVecEnv(motions, EnvConfig(), num_envs=args.envs, num_threads=args.threads)
+    ours = AdaptivePPO(
+        TorquePolicy,
+        env,
+        policy_kwargs={
+            "spec": PolicySpec(hidden=HIDDEN, activation="elu"),
+            "layout": Layout.of(env.layout),
+            "gains": initial_gains(env.torque_limits, env.damping),
+        },
+        **options,
+    )
+    rollout = args.envs * args.steps
+    # The first rollout of ours only measures the observations; both warm up in the first round.
+    rates = median_rates(
+        {
+            "ours": lambda: ours.iterate(lambda *_: None, 0.0),
+            "sb3_subproc": lambda: reference.learn(rollout, reset_num_timesteps=False),
+        },
+        {"ours": rollout, "sb3_subproc": rollout},
+        args.repeats,
+    )
+    subproc.close()
+    report(
+        {
+            "envs": args.envs,
+            "threads": args.threads,
+            "ours_steps_per_s": rates["ours"],
+            "sb3_subproc_steps_per_s": rates["sb3_subproc"],
+            "ratio_to_sb3_subproc": rates["ours"] / rates["sb3_subproc"],
+        },
+        args.json,
+    )
+
+
+if __name__ == "__main__":
+    main()
