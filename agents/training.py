@@ -19,7 +19,7 @@ from agents.monitor import Display
 from agents.policy import TorquePolicy
 from agents.ppo import AdaptivePPO
 from agents.presets import PRESETS, PPOConfig, Preset, StageConfig
-from agents.rolling import choose_clips, evaluation_sim, follow
+from agents.rolling import Followed, choose_clips, evaluation_sim, follow
 from agents.run_folder import (
     RECORD,
     check_same_run,
@@ -142,39 +142,30 @@ def _run_stage(
     begin: Callable[[], None],
 ) -> None:
     config = preset.stages[name]
-    env_config = EnvConfig(
-        sensors=args.sensors,
-        future_frames=args.future_frames,
-        heights=args.heights,
-        body_preset=preset.body_preset,
-        reward=config.reward,
-        privileged=config.privileged,
-        sampling=config.sampling,
-    )
+    env_config = _env_config(args, preset, config)
     learnt, validation = split_validation(clips, args.hold_out, preset.validation_clips)
     # Each stage has its own stream of random numbers, whether it runs alone or after another.
     seed = args.seed + 1000 * list(preset.stages).index(name)
     torch.manual_seed(seed)
     env = QuestVecEnv(learnt, env_config, args.envs or preset.num_envs, seed, args.threads)
+    sim = evaluation_sim(validation, replace(env_config, fixed_start=True), args.threads)
+
+    def validate(agent: PolicyAgent) -> Followed:
+        agent.bind(sim)
+        return follow(agent, sim, validation)
+
     try:
         learner = _learner(name, args, config, env, seed)
-        needs = Needs(
-            sensors=args.sensors,
-            future_frames=args.future_frames,
-            privileged="privileged" in config.policy.actor_blocks,
-            body_preset=preset.body_preset,
-        )
-        sim = evaluation_sim(validation, replace(env_config, fixed_start=True), args.threads)
-
-        def validate(agent: PolicyAgent) -> Any:
-            agent.bind(sim)
-            return follow(agent, sim, validation)
-
         stage = Stage(
             name=name,
             learner=learner,
             env=env,
-            needs=needs,
+            needs=Needs(
+                sensors=args.sensors,
+                future_frames=args.future_frames,
+                privileged="privileged" in config.policy.actor_blocks,
+                body_preset=preset.body_preset,
+            ),
             folder=args.out / name,
             budget=_budget(name, args, preset),
             validate=validate,
@@ -185,11 +176,22 @@ def _run_stage(
         )
         if args.resume and (stage.folder / "last" / CARD_FILE).exists():
             stage.resume()
-        begin()
         stage.run(display, stopper)
-        sim.close()
     finally:
+        sim.close()
         env.close()
+
+
+def _env_config(args: TrainArgs, preset: Preset, config: StageConfig) -> EnvConfig:
+    return EnvConfig(
+        sensors=args.sensors,
+        future_frames=args.future_frames,
+        heights=args.heights,
+        body_preset=preset.body_preset,
+        reward=config.reward,
+        privileged=config.privileged,
+        sampling=config.sampling,
+    )
 
 
 def split_validation(
