@@ -176,6 +176,7 @@ def _run_stage(
         )
         if args.resume and (stage.folder / "last" / CARD_FILE).exists():
             stage.resume()
+        begin()
         stage.run(display, stopper)
     finally:
         sim.close()
