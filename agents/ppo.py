@@ -32,6 +32,7 @@ class AdaptivePPO(PPO):
         env: a stable-baselines3 VecEnv.
         desired_kl: the KL divergence an update should come to; None keeps the learning rate.
         reward_scale: factor on rewards; ``1 - gamma`` brings values into the rewards' range.
+        bfloat16: whether matrix products while training are of that precision.
         **options: those of stable-baselines3's PPO.
     """
 
@@ -45,6 +46,7 @@ class AdaptivePPO(PPO):
         *,
         desired_kl: float | None = None,
         reward_scale: float = 1.0,
+        bfloat16: bool = False,
         **options: Any,
     ) -> None:
         self.desired_kl, self.reward_scale = desired_kl, reward_scale
@@ -56,6 +58,7 @@ class AdaptivePPO(PPO):
             device="cpu",
             **options,
         )
+        self.policy.use_bfloat16(bfloat16)
         self.actor_rate = float(self.lr_schedule(1))
         self._observer: _Observer | None = None
         self.generator = torch.Generator().manual_seed(self.seed or 0)

@@ -25,6 +25,7 @@ class PPOConfig:
         reward_scale: factor on rewards, so that values are of order one.
         noise_legs_and_trunk, noise_arms_and_neck: start values of the exploration noise.
         learn_noise: whether the noise is trained.
+        bfloat16: precision of matrix products while training; float32 otherwise.
         critic_warmup_steps: environment steps in which only the critic learns.
     """
 
@@ -42,6 +43,7 @@ class PPOConfig:
     noise_legs_and_trunk: float = 0.12
     noise_arms_and_neck: float = 0.04
     learn_noise: bool = True
+    bfloat16: bool = True
     critic_warmup_steps: int = 0
 
 
@@ -57,6 +59,8 @@ class StageConfig:
         evaluate_every: environment steps between evaluations on the fixed set.
         reward: of the environment.
         sampling: ``uniform`` or ``failure``.
+        max_error_m: mean link error at which its episodes end; what comes after is no longer
+            worth the simulation. Evaluations always allow 0.5 m.
     """
 
     share: float
@@ -66,6 +70,7 @@ class StageConfig:
     evaluate_every: int = 400_000
     reward: RewardConfig = field(default_factory=RewardConfig)
     sampling: str = "failure"
+    max_error_m: float = 0.5
 
     @property
     def privileged(self) -> bool:

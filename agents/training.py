@@ -148,7 +148,11 @@ def _run_stage(
     seed = args.seed + 1000 * list(preset.stages).index(name)
     torch.manual_seed(seed)
     env = QuestVecEnv(learnt, env_config, args.envs or preset.num_envs, seed, args.threads)
-    sim = evaluation_sim(validation, replace(env_config, fixed_start=True), args.threads)
+    sim = evaluation_sim(
+        validation,
+        replace(env_config, fixed_start=True, max_error_m=EnvConfig().max_error_m),
+        args.threads,
+    )
 
     def validate(agent: PolicyAgent) -> Followed:
         agent.bind(sim)
@@ -192,6 +196,7 @@ def _env_config(args: TrainArgs, preset: Preset, config: StageConfig) -> EnvConf
         reward=config.reward,
         privileged=config.privileged,
         sampling=config.sampling,
+        max_error_m=config.max_error_m,
     )
 
 
@@ -267,6 +272,7 @@ def make_ppo(config: StageConfig, ppo: PPOConfig, env: QuestVecEnv, seed: int) -
         env,
         desired_kl=ppo.desired_kl,
         reward_scale=ppo.reward_scale,
+        bfloat16=ppo.bfloat16,
         learning_rate=ppo.learning_rate,
         n_steps=ppo.rollout_steps,
         batch_size=min(ppo.minibatch, ppo.rollout_steps * env.num_envs),
