@@ -93,6 +93,8 @@ class Dagger:
         seed: int,
     ) -> None:
         self.env, self.teacher, self.policy, self.config = env, teacher.policy, student, config
+        # Labels stay exact; only the student's own matrix products are coarse while it learns.
+        student.use_bfloat16(True)
         self.num_timesteps = 0
         self.generator = torch.Generator().manual_seed(seed)
         self.inputs = max(stop for _, stop in student.layout.blocks.values())

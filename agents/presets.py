@@ -112,13 +112,32 @@ FINETUNED = PolicySpec(
     activation="elu",
 )
 
+TRACKING_REWARD = RewardConfig(k_link_positions=30.0)
+"""Places weigh more than published: a mean over links, drift of 10 cm must cost something."""
+
 CPU = Preset(
     minutes=30.0,
     num_envs=256,
     stages={
-        "teacher": StageConfig(share=0.70, policy=TEACHER, learning=PPOConfig()),
+        "teacher": StageConfig(
+            share=0.70,
+            policy=TEACHER,
+            learning=PPOConfig(
+                epochs=3,
+                minibatch=512,
+                desired_kl=0.15,
+                noise_legs_and_trunk=0.08,
+                noise_arms_and_neck=0.03,
+            ),
+            reward=TRACKING_REWARD,
+            max_error_m=0.2,
+        ),
         "student": StageConfig(
-            share=0.30, policy=STUDENT, learning=DaggerConfig(), evaluate_every=200_000
+            share=0.30,
+            policy=STUDENT,
+            learning=DaggerConfig(),
+            evaluate_every=200_000,
+            max_error_m=0.3,
         ),
         # Outside of the default budget: `--stage finetune` adds it to a finished student.
         "finetune": StageConfig(
