@@ -75,16 +75,16 @@ class Network(nn.Module):
             layers += [_linear(width, hidden, np.sqrt(2)), ACTIVATIONS[spec.activation]()]
             width = hidden
         self.layers = nn.Sequential(*layers, _linear(width, outputs, output_gain))
-        self.bfloat16 = False
+        self.low_precision = False
 
     def forward(self, obs: Tensor) -> Tensor:
         """Outputs ``(n, outputs)`` for full observations ``(n, D)``.
 
-        With ``bfloat16`` set, while training, matrix products are of that precision, at twice
+        With ``low_precision`` set, while training, matrix products are in bfloat16, at twice
         the speed. A rollout and its update then agree, since both go through here.
         """
         inputs = self.norm(obs.index_select(1, self.columns))
-        with torch.autocast("cpu", torch.bfloat16, enabled=self.bfloat16):
+        with torch.autocast("cpu", torch.bfloat16, enabled=self.low_precision):
             return self.layers(inputs).float()
 
     def update_norm(self, obs: Tensor) -> None:
@@ -223,9 +223,9 @@ class TorquePolicy(ActorCriticPolicy):
 
     def use_bfloat16(self, on: bool) -> None:
         """Choose the precision of matrix products: bfloat16 to train, float32 to act."""
-        self.actor.bfloat16 = on
+        self.actor.low_precision = on
         if self.critic is not None:
-            self.critic.bfloat16 = on
+            self.critic.low_precision = on
 
     def log_prob(self, mean: Tensor, actions: Tensor) -> Tensor:
         """Log density ``(n,)`` of actions ``(n, 33)`` around the mean."""

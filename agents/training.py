@@ -16,6 +16,7 @@ from agents.checkpoint import CARD_FILE, find_policy, load_policy
 from agents.dagger import Dagger, DaggerConfig
 from agents.learner import Learner
 from agents.monitor import Display
+from agents.overrides import with_overrides
 from agents.policy import TorquePolicy
 from agents.ppo import AdaptivePPO
 from agents.presets import PRESETS, PPOConfig, Preset, StageConfig
@@ -76,6 +77,8 @@ class TrainArgs:
     """Threads of physics and networks."""
     seed: int = 0
     """Of everything that is random."""
+    set: tuple[str, ...] = ()
+    """Values of the preset to change, e.g. stages.teacher.learning.desired_kl=0.06."""
 
 
 def train(args: TrainArgs) -> int:
@@ -84,7 +87,7 @@ def train(args: TrainArgs) -> int:
     Raises:
         InputError: for options, motions or a run folder that cannot be used.
     """
-    preset = PRESETS[args.preset]
+    preset = with_overrides(PRESETS[args.preset], args.set)
     names = _stage_names(args, preset)
     if args.resume:
         read_run(args.out)

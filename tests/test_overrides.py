@@ -1,0 +1,40 @@
+"""Changing single values of a preset."""
+
+from __future__ import annotations
+
+import pytest
+
+from agents.overrides import with_overrides
+from agents.presets import CPU, DaggerConfig, PPOConfig
+from questsim.errors import InputError
+
+
+def test_values_deep_in_a_preset_change_and_nothing_else() -> None:
+    changed = with_overrides(
+        CPU,
+        ["stages.teacher.learning.desired_kl=0.06", "stages.teacher.policy.hidden=[64, 32]",
+         "stages.student.learning.capacity=1000", "num_envs=8"],
+    )  # fmt: skip
+    teacher = changed.stages["teacher"]
+    assert isinstance(teacher.learning, PPOConfig) and teacher.learning.desired_kl == 0.06
+    assert teacher.policy.hidden == (64, 32) and changed.num_envs == 8
+    student = changed.stages["student"].learning
+    assert isinstance(student, DaggerConfig) and student.capacity == 1000
+    assert changed.stages["finetune"] == CPU.stages["finetune"]
+    assert CPU.num_envs == 256
+
+
+@pytest.mark.parametrize(
+    ("assignment", "message"),
+    [
+        ("num_envs", "not path=value"),
+        ("stages.pupil.share=1", "no 'pupil'.*teacher"),
+        ("num_envs=many", "'many' is no int"),
+        ("stages.teacher.learning=3", "names a group"),
+        ("num_envs.x=3", "no 'x'"),
+        ("num_envs=[", "not a YAML value"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_the_path(assignment: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        with_overrides(CPU, [assignment])
