@@ -56,6 +56,10 @@ COMMANDS: dict[str, Command] = {
         "agents.evaluation", "evaluate", "EvaluateArgs",
         "let an agent follow clips and score it",
     ),
+    "export": Command(
+        "agents.export", "export", "ExportArgs",
+        "write a policy as an ONNX graph from simulator state to torques",
+    ),
 }  # fmt: skip
 
 

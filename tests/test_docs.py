@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -40,7 +41,7 @@ def test_make_targets_that_are_named_exist():
 
 def test_every_dependency_is_pinned():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    wanted = project["dependencies"] + project["optional-dependencies"]["dev"]
+    wanted = project["dependencies"] + [*chain(*project["optional-dependencies"].values())]
     pins = (ROOT / "constraints.txt").read_text().lower().replace("_", "-")
-    names = {re.split(r"[<>=\[]", requirement)[0] for requirement in wanted}
+    names = {re.split(r"[<>=\[]", requirement)[0] for requirement in wanted} - {project["name"]}
     assert not [name for name in names if f"\n{name}==" not in pins]
