@@ -85,7 +85,7 @@ def export(args: ExportArgs) -> int:
             packages that are missing.
     """
     agent = load_agent(args.agent)
-    check_exportable(agent)
+    check_exportable(agent, args.agent)
     _check_packages()
     if args.out.is_dir() or not args.out.parent.is_dir():
         raise InputError("cannot be written", args.out, "name a file in an existing folder")
@@ -94,20 +94,25 @@ def export(args: ExportArgs) -> int:
     return 0
 
 
-def check_exportable(agent: Agent) -> None:
+def check_exportable(agent: Agent, where: str | None = None) -> None:
     """Refuse an agent whose inputs are not a simulator's state and devices.
+
+    Args:
+        agent: any.
+        where: what the user called it, for the message; by default its name.
 
     Raises:
         InputError: naming what it is or reads.
     """
+    where = where or agent.name
     if not isinstance(agent, PolicyAgent):
-        raise InputError("is no trained policy, there is nothing to export", agent.name)
+        raise InputError("is no trained policy, there is nothing to export", where)
     spec = agent.policy.spec
     others = [name for name in spec.actor_blocks if name not in SPARSE_BLOCKS]
     if others or spec.reference_head:
         read = ", ".join(others) or "the reference pose"
         raise InputError(
-            f"reads {read}, which no device can tell", agent.name, "export one of its students"
+            f"reads {read}, which no device can tell", where, "export one of its students"
         )
 
 

@@ -16,10 +16,16 @@ from questsim.motion.clip import Clip
 from questsim.motion.synthetic import synthetic_clips
 
 
-def arguments(description: str, **defaults: int) -> argparse.Namespace:
-    """Options of a benchmark: ``--json`` and whole numbers with the given defaults."""
-    parser = argparse.ArgumentParser(description=description)
+def arguments(
+    description: str, texts: Mapping[str, str] | None = None, **defaults: int
+) -> argparse.Namespace:
+    """Options of a benchmark: ``--json``, texts and whole numbers with the given defaults."""
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    for name, text in (texts or {}).items():
+        parser.add_argument(f"--{name}", default=text)
     for name, value in defaults.items():
         parser.add_argument(f"--{name}", type=int, default=value)
     return parser.parse_args()
