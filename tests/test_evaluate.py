@@ -21,7 +21,7 @@ from envs.layout import observation_layout
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
 from questsim.motion.library import save_library
-from questsim.motion.retarget import to_motion
+from questsim.motion.retarget_back import to_motion
 from questsim.skeleton import NUM_DOFS
 
 START = EnvConfig(fixed_start=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -11,8 +12,10 @@ from helpers import swaying_clip
 
 from questsim import rotations as rot
 from questsim.body import build_body
+from questsim.errors import InputError
 from questsim.motion.kinematics import sole_positions
-from questsim.motion.retarget import mirror_clip, retargeting_error, to_clip, to_motion
+from questsim.motion.retarget import mirror_clip, retargeting_error, to_clip
+from questsim.motion.retarget_back import to_motion
 from questsim.skeleton import FOOT_LINKS, LINKS
 
 SHARED = Path(__file__).parents[2] / "shared" / "mocap" / "bandai-namco-2.zip"
@@ -46,6 +49,13 @@ def test_a_clip_survives_the_way_to_a_motion_and_back() -> None:
     np.testing.assert_allclose(back.qpos[:, 7:], clip.qpos[:, 7:], atol=0.02)
     np.testing.assert_allclose(back.qpos[:, :2], clip.qpos[:, :2] * scale, atol=1e-9)
     assert max(retargeting_error(motion, back).values()) < 0.5
+
+
+def test_a_stature_that_no_avatar_has_is_refused_by_name() -> None:
+    giant = to_motion(swaying_clip("giant"))
+    giant = replace(giant, offsets=2.0 * giant.offsets)
+    with pytest.raises(InputError, match=r"giant: the skeleton is 3\.\d+ m tall"):
+        to_clip(giant)
 
 
 def test_mirroring_a_clip_is_mirroring_its_motion() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -83,49 +85,30 @@ def to_motion(recording: Recording, family: Family, metres: float, up: str, **me
         InputError: a joint of the family is not in the file, or bones change their length.
     """
     where = str(recording.path)
-    index = {}
-    for ours, theirs in family.joints.items():
-        if theirs not in recording.names:
-            raise InputError(f"there is no joint {theirs!r}", where, "check the mapping")
-        index[JOINTS.index(ours)] = recording.names.index(theirs)
+    index = _file_joints(recording, family)
     positions, orientations = global_pose(recording)
-    joints = list(index)
-    positions = positions[:, list(index.values())] * metres
-    orientations = orientations[:, list(index.values())]
-    bones = {}
-    for column, joint in enumerate(joints):
-        parent = _mapped_parent(joint, index)
-        if parent is not None:
-            at = joints.index(parent)
-            bones[joint] = rot.quat_rotate(
-                rot.quat_conjugate(orientations[:, at]), positions[:, column] - positions[:, at]
-            )
-    rest = _rest_rotations(family, {j: np.median(b, axis=0) for j, b in bones.items()}, where)
+    # By joint of ours, since a file may lack some: places in metres, turns in the file's frame.
+    places = {j: positions[:, column] * metres for j, column in index.items()}
+    own = {j: orientations[:, column] for j, column in index.items()}
+    rest = _rest_rotations(family, _bones(places, own), where)
     rest_quat = dict(zip(rest, rot.matrix_to_quat(np.stack(list(rest.values()))), strict=True))
     world = world_axes(up)
     world_quat = rot.matrix_to_quat(world)
     turned = np.empty((len(positions), NUM_JOINTS, 4))
     for joint in range(NUM_JOINTS):
-        if joint in index:
-            own = orientations[:, joints.index(joint)]
+        if joint in own:
             turned[:, joint] = rot.quat_multiply(
-                world_quat, rot.quat_multiply(own, rest_quat[joint])
+                world_quat, rot.quat_multiply(own[joint], rest_quat[joint])
             )
         else:
             turned[:, joint] = turned[:, JOINT_PARENTS[joint]]
-    placed = {j: positions[:, c] @ world.T for c, j in enumerate(joints)}
+    placed = {joint: place @ world.T for joint, place in places.items()}
     offsets = _offsets(placed, turned, where)
-    local = turned.copy()
-    for joint in range(1, NUM_JOINTS):
-        local[:, joint] = rot.quat_multiply(
-            rot.quat_conjugate(turned[:, JOINT_PARENTS[joint]]), turned[:, joint]
-        )
-    local /= np.linalg.norm(local, axis=-1, keepdims=True)
     return Motion(
         name=recording.path.stem,
         fps=recording.fps,
         root_position=placed[0],
-        rotations=rot.continuous(local),
+        rotations=rot.continuous(_local(turned)),
         offsets=offsets,
         source=recording.path.name,
         source_sha256=recording.sha256,
@@ -133,7 +116,40 @@ def to_motion(recording: Recording, family: Family, metres: float, up: str, **me
     )
 
 
-def _mapped_parent(joint: int, mapped) -> int | None:
+def _file_joints(recording: Recording, family: Family) -> dict[int, int]:
+    """For each joint of ours that the file has, its number in the file."""
+    index = {}
+    for ours, theirs in family.joints.items():
+        if theirs not in recording.names:
+            raise InputError(
+                f"there is no joint {theirs!r}", str(recording.path), "check the mapping"
+            )
+        index[JOINTS.index(ours)] = recording.names.index(theirs)
+    return index
+
+
+def _bones(places: dict[int, np.ndarray], own: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
+    """Each joint's place in its nearest mapped parent's frame, the median over time ``(3,)``."""
+    bones = {}
+    for joint, place in places.items():
+        parent = _mapped_parent(joint, places)
+        if parent is not None:
+            back = rot.quat_conjugate(own[parent])
+            bones[joint] = np.median(rot.quat_rotate(back, place - places[parent]), axis=0)
+    return bones
+
+
+def _local(turned: np.ndarray) -> np.ndarray:
+    """Rotations in the parents ``(T, 22, 4)`` of orientations in the world ``(T, 22, 4)``."""
+    local = turned.copy()
+    for joint in range(1, NUM_JOINTS):
+        local[:, joint] = rot.quat_multiply(
+            rot.quat_conjugate(turned[:, JOINT_PARENTS[joint]]), turned[:, joint]
+        )
+    return local / np.linalg.norm(local, axis=-1, keepdims=True)
+
+
+def _mapped_parent(joint: int, mapped: Container[int]) -> int | None:
     """The nearest ancestor that the file has; None for the root."""
     while joint:
         joint = JOINT_PARENTS[joint]

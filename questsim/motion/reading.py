@@ -163,7 +163,7 @@ def _units(recording: Recording, family: Family, options: ReadOptions) -> tuple[
         raise InputError(
             f"the skeleton is {height:.3g} units tall, a person in none of {', '.join(UNITS)}",
             recording.path,
-            "declare --units and --accept the file",
+            "scale it to one of these",
         )
     return fitting[0], "detected"
 

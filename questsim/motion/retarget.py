@@ -1,4 +1,4 @@
-"""From a ``Motion`` on 22 joints to a ``Clip`` of the avatar, and back.
+"""From a ``Motion`` on 22 joints to a ``Clip`` of the avatar; ``retarget_back`` is the way back.
 
 The trunk, the head and the feet take the orientations of the motion. The root's path is scaled
 by the ratio of leg lengths; each leg then reaches the motion's sole, each arm the motion's wrist
@@ -16,12 +16,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from questsim import rotations as rot
-from questsim.body import DEFAULT_HEIGHT_M, build_body
+from questsim.body import DEFAULT_HEIGHT_M, MAX_HEIGHT_M, MIN_HEIGHT_M, build_body
+from questsim.errors import InputError
 from questsim.motion.checks import stature
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.kinematics import (
     clip_from_qpos,
-    clips_from_qpos,
     link_offsets,
     link_poses,
     sole_points,
@@ -38,17 +38,7 @@ from questsim.skeleton import (
     MIRROR_DOF_SIGNS,
     MIRROR_DOFS,
     NUM_DOFS,
-    NUM_JOINTS,
 )
-
-__all__ = [
-    "clip_from_qpos",
-    "clips_from_qpos",
-    "mirror_clip",
-    "retargeting_error",
-    "to_clip",
-    "to_motion",
-]
 
 SIDES = ("left", "right")
 FULL_STRETCH = 0.999
@@ -71,7 +61,12 @@ def to_clip(motion: Motion) -> Clip:
         InputError: the stature is outside the range of bodies.
     """
     height = round(stature(motion), 3)
-    build_body(height)
+    if not MIN_HEIGHT_M <= height <= MAX_HEIGHT_M:
+        raise InputError(
+            f"the skeleton is {height:.3g} m tall, the avatar {MIN_HEIGHT_M}-{MAX_HEIGHT_M} m",
+            motion.source or motion.name,
+            "declare --units",
+        )
     motion = motion.resampled(FPS)
     position, quat = motion.forward_kinematics()
     angles = np.zeros((len(motion), NUM_DOFS))
@@ -371,68 +366,6 @@ def _within_turn(values: np.ndarray, dofs: list[int]) -> np.ndarray:
     middle = limits.mean(axis=1)
     turns = np.round((np.median(values, axis=0) - middle) / (2 * np.pi))
     return values - 2 * np.pi * turns
-
-
-# The avatar's rigid links as joints of a motion: where the 22 joints sit in their parents.
-_EXTRA_JOINTS = {
-    "left_toe": (0.13, 0.0, -0.05), "right_toe": (0.13, 0.0, -0.05),
-    "spine3": (0.0, 0.0, 0.12), "head": (0.01, 0.0, 0.09),
-    "left_clavicle": (0.0, 0.03, 0.085), "right_clavicle": (0.0, -0.03, 0.085),
-}  # fmt: skip
-_EXTRA_OF_LINK = {"neck": (0.0, 0.0, 0.13)}
-_SHOULDER_OF_CLAVICLE = {"left_shoulder": (0.0, 0.15, 0.0), "right_shoulder": (0.0, -0.15, 0.0)}
-
-
-def to_motion(clip: Clip) -> Motion:
-    """The clip as a ``Motion``: the avatar's links as joints, what it lacks at rest.
-
-    The root is midway between the hips; collarbones, third spine joint, head joint and toes do
-    not move against their parents.
-    """
-    ratio = clip.height_m / DEFAULT_HEIGHT_M
-    offsets = np.zeros((NUM_JOINTS, 3))
-    for link, name in enumerate(LINK_JOINTS):
-        offsets[_joint(name)] = link_offsets()[link]
-    for table in (_EXTRA_JOINTS, _EXTRA_OF_LINK, _SHOULDER_OF_CLAVICLE):
-        for name, place in table.items():
-            offsets[_joint(name)] = place
-    world = _joint_orientations(clip)
-    for side in SIDES:
-        for name in ("elbow", "wrist"):
-            joint = _joint(f"{side}_{name}")
-            offsets[joint] = rot.quat_rotate(ARM_REST[side], offsets[joint])
-    rotations = world.copy()
-    for joint in range(1, NUM_JOINTS):
-        rotations[:, joint] = _relative(world[:, JOINT_PARENTS[joint]], world[:, joint])
-    return Motion(
-        name=clip.name,
-        fps=FPS,
-        root_position=clip.qpos[:, :3].copy(),
-        rotations=rotations,
-        offsets=offsets * ratio,
-        source=clip.source,
-        source_sha256=clip.source_sha256,
-        licence=clip.licence,
-        kind=clip.kind,
-        style=clip.style,
-    )
-
-
-def _joint_orientations(clip: Clip) -> np.ndarray:
-    """World orientations ``(T, 22, 4)`` of a motion's joints, from the clip's links."""
-    world = np.empty((len(clip), NUM_JOINTS, 4))
-    known = dict(zip(LINK_JOINTS, range(len(LINKS)), strict=True))
-    for joint, name in enumerate(JOINTS):
-        if name in known:
-            world[:, joint] = clip.link_quat[:, known[name]]
-        else:
-            world[:, joint] = world[:, JOINT_PARENTS[joint]]
-    for side in SIDES:
-        back = rot.quat_conjugate(ARM_REST[side])
-        for part in ("shoulder", "elbow", "wrist"):
-            joint = _joint(f"{side}_{part}")
-            world[:, joint] = rot.quat_multiply(world[:, joint], back)
-    return world
 
 
 def retargeting_error(motion: Motion, clip: Clip) -> dict[str, float]:

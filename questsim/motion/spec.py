@@ -77,7 +77,7 @@ def load_recordings(
     Raises:
         InputError: as ``load_motions``.
     """
-    from questsim.motion.retarget import to_motion
+    from questsim.motion.retarget_back import to_motion
 
     motions: list[Motion] = []
     for part in _parts(spec):

@@ -1,0 +1,75 @@
+"""From a ``Clip`` of the avatar to a ``Motion`` on 22 joints: synthetic clips as recordings."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from questsim import rotations as rot
+from questsim.body import DEFAULT_HEIGHT_M
+from questsim.motion.clip import FPS, Clip
+from questsim.motion.kinematics import link_offsets
+from questsim.motion.motion import Motion
+from questsim.motion.retarget import ARM_REST, SIDES
+from questsim.skeleton import JOINT_PARENTS, JOINTS, LINK_JOINTS, LINKS, NUM_JOINTS
+
+# Where joints that no link's origin gives lie in their parents, on the 1.75 m body. The avatar has
+# no collarbones: the way from its chest to a shoulder is shared out between the two joints.
+_OFFSETS = {
+    "left_toe": (0.13, 0.0, -0.05), "right_toe": (0.13, 0.0, -0.05),
+    "spine3": (0.0, 0.0, 0.12), "neck": (0.0, 0.0, 0.13), "head": (0.01, 0.0, 0.09),
+    "left_clavicle": (0.0, 0.03, 0.085), "right_clavicle": (0.0, -0.03, 0.085),
+    "left_shoulder": (0.0, 0.15, 0.0), "right_shoulder": (0.0, -0.15, 0.0),
+}  # fmt: skip
+
+
+def to_motion(clip: Clip) -> Motion:
+    """The clip as a ``Motion``: the avatar's links as joints, what it lacks at rest.
+
+    The root is midway between the hips; collarbones, third spine joint, head joint and toes do
+    not move against their parents.
+    """
+    ratio = clip.height_m / DEFAULT_HEIGHT_M
+    offsets = np.zeros((NUM_JOINTS, 3))
+    for link, name in enumerate(LINK_JOINTS):
+        offsets[JOINTS.index(name)] = link_offsets()[link]
+    for name, place in _OFFSETS.items():
+        offsets[JOINTS.index(name)] = place
+    world = _joint_orientations(clip)
+    for side in SIDES:
+        for name in ("elbow", "wrist"):
+            joint = JOINTS.index(f"{side}_{name}")
+            offsets[joint] = rot.quat_rotate(ARM_REST[side], offsets[joint])
+    rotations = world.copy()
+    for joint in range(1, NUM_JOINTS):
+        rotations[:, joint] = rot.quat_multiply(
+            rot.quat_conjugate(world[:, JOINT_PARENTS[joint]]), world[:, joint]
+        )
+    return Motion(
+        name=clip.name,
+        fps=FPS,
+        root_position=clip.qpos[:, :3].copy(),
+        rotations=rotations,
+        offsets=offsets * ratio,
+        source=clip.source,
+        source_sha256=clip.source_sha256,
+        licence=clip.licence,
+        kind=clip.kind,
+        style=clip.style,
+    )
+
+
+def _joint_orientations(clip: Clip) -> np.ndarray:
+    """World orientations ``(T, 22, 4)`` of a motion's joints, from the clip's links."""
+    world = np.empty((len(clip), NUM_JOINTS, 4))
+    known = dict(zip(LINK_JOINTS, range(len(LINKS)), strict=True))
+    for joint, name in enumerate(JOINTS):
+        if name in known:
+            world[:, joint] = clip.link_quat[:, known[name]]
+        else:
+            world[:, joint] = world[:, JOINT_PARENTS[joint]]
+    for side in SIDES:
+        back = rot.quat_conjugate(ARM_REST[side])
+        for part in ("shoulder", "elbow", "wrist"):
+            joint = JOINTS.index(f"{side}_{part}")
+            world[:, joint] = rot.quat_multiply(world[:, joint], back)
+    return world
