@@ -132,6 +132,7 @@ def test_a_download_that_fails_or_is_no_archive_says_so(tiny, tmp_path, server):
     assert list((tmp_path / "cache" / "downloads").iterdir()) == []
     with pytest.raises(InputError, match="no such mirror file"):
         fetch("tiny", str(tmp_path / "none.zip"))
+    assert not datasets.dataset_folder("tiny").exists()
 
 
 def test_the_shipped_manifest_and_splits_are_those_of_the_dataset():

@@ -84,11 +84,13 @@ def changed(path: Path, **changes) -> Path:
         ("up", np.array("y"), "has up y, not z"),
         ("clip_fps", np.array(30.0), "has clip_fps 30.0, not 36.0"),
         ("links", None, "lacks 'links'"),
-        ("motion_offsets", None, "lacks .*motion_offsets"),
+        ("motion_offsets", None, "lacks 'motion_offsets';"),
         ("clip_frames", np.array([1, 1]), "has .* frames, not 2"),
         ("clip_frames", np.array([-1, 60]), "not counts above zero"),
         ("clip_height_m", np.array([1.8]), "clip_height_m does not fit"),
         ("motion_licence", np.array(["a"]), "motion_licence does not fit"),
+        ("clip_source_sha256", None, "lacks 'clip_source_sha256';"),
+        ("clip_source_sha256", np.array(["", "beef"]), "of second is no SHA-256"),
     ],
 )
 def test_a_library_that_does_not_fit_is_refused(key, value, reason, saved):

@@ -109,9 +109,8 @@ def check(motion: Motion, units: str = "m", up: str = "z") -> Report:
     height, gravity = stature(motion), free_fall(motion, position)
     low = float(np.percentile(_feet(position)[..., 2].min(axis=(1, 2)), 2))
     facing = np.exp(1j * rot.heading(quat[:, 0])).mean()
-    report = Report(
-        units, up, motion.fps, height, float(np.degrees(np.angle(facing))), low, gravity
-    )
+    facing_deg = round(float(np.degrees(np.angle(facing))), 2) + 0.0  # no "-0" in the report
+    report = Report(units, up, motion.fps, height, facing_deg, low, gravity)
     return replace(report, problems=tuple(_problems(motion, position, report)))
 
 

@@ -146,10 +146,6 @@ def fetch(name: str, mirror: str | None = None) -> Path:
     wanted = {f: d for f, d in manifest(name).items() if file_digest(folder / f) != d}
     kept = len(manifest(name)) - len(wanted)
     if wanted:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"cannot be written ({error.strerror})", folder) from None
         archive, downloaded = _archive(dataset, mirror)
         try:
             _unpack(archive, dataset, wanted, folder)
@@ -207,6 +203,7 @@ def _unpack(archive: Path, dataset: Dataset, wanted: dict[str, str], folder: Pat
 
     found, wrong = set(), []
     with zipfile.ZipFile(archive) as outer:
+        _make(folder)
         members = tqdm(_members(outer, dataset), total=None, unit=" files", disable=None)
         for filename, content in members:
             if filename in wanted and filename not in found:
@@ -266,6 +263,13 @@ def file_digest(path: Path) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except FileNotFoundError:
         return ""
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot be written ({error.strerror})", folder) from None
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -6,6 +6,7 @@ Clips are stored as poses at 36 Hz; velocities, link poses and contacts follow f
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 import zipfile
 from collections.abc import Container, Sequence
@@ -24,6 +25,7 @@ from questsim.skeleton import DOFS, JOINT_PARENTS, JOINTS, LINKS, NUM_DOFS, NUM_
 FORMAT, VERSION = "questsim-library", 1
 ABOUT = ("source", "source_sha256", "licence", "kind", "style")
 AGAIN = "import the motions again with this version"
+_SHA256 = re.compile(r"[0-9a-f]{64}")
 
 HEADER: dict[str, np.ndarray] = {
     "format": np.array(FORMAT),
@@ -89,7 +91,7 @@ def load_library(
 
     Raises:
         InputError: the file is missing or none, of another version, of another skeleton, lacks
-            a key, or holds numbers that are not finite.
+            a key, or holds numbers that are not finite or hashes that are none.
     """
     path = Path(path)
     try:
@@ -104,7 +106,9 @@ def load_library(
     except InputError:
         raise
     except KeyError as error:
-        raise InputError(f"library lacks {error.args[0]}", path, AGAIN) from None
+        # NumPy's message begins with the array's name.
+        name = str(error.args[0]).split(" ")[0]
+        raise InputError(f"library lacks {name!r}", path, AGAIN) from None
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(f"cannot be read as a library ({error})", path, AGAIN) from None
 
@@ -180,6 +184,9 @@ def _parts(archive: Any, path: Path, kind: str, arrays: Sequence[str]) -> dict[s
         out[key] = [str(text) for text in archive[f"{kind}_{key}"]]
         if len(out[key]) != len(frames):
             raise InputError(f"{kind}_{key} does not fit {kind}_frames", path, AGAIN)
+    for name, digest in zip(out["name"], out["source_sha256"], strict=True):
+        if digest and not _SHA256.fullmatch(digest):
+            raise InputError(f"{kind}_source_sha256 of {name} is no SHA-256", path, AGAIN)
     return out
 
 
