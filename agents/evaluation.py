@@ -217,4 +217,4 @@ def _film(rollouts: list[Rollout], path: Path) -> None:
     try:
         print(f"written to {rollout_video(rollouts, path)}")
     except NoGLError as error:
-        print(f"no video: {error}", file=sys.stderr)
+        print(f"video skipped: {error}", file=sys.stderr)
