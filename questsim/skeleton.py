@@ -70,7 +70,8 @@ DOFS: tuple[str, ...] = (
 """The 33 hinges, in the order of ``qpos[7:]``, ``qvel[6:]``, ``ctrl`` and every action.
 
 The last letter is the positive axis of rotation, in the parent link's frame; the hinges of a
-joint turn in the order given. The shoulder's x and y are turned 45 degrees about z (see body.py).
+joint turn in the order given. The shoulder's x and y are turned 45 degrees about z:
+``humanoid.xml`` says why.
 """
 
 FEET: tuple[str, str] = ("left_foot", "right_foot")

@@ -48,6 +48,10 @@ def test_default_scaling_follows_geometric_similarity(height: float) -> None:
     np.testing.assert_allclose(body.model.body_inertia, reference.model.body_inertia * s**5)
     np.testing.assert_allclose(body.torque_limits, reference.torque_limits * s**3)
     np.testing.assert_allclose(body.damping, reference.damping * s**3)
+    links = reference.model.geom_bodyid > 0
+    np.testing.assert_allclose(body.model.geom_size[links], reference.model.geom_size[links] * s)
+    np.testing.assert_allclose(body.model.geom_pos[links], reference.model.geom_pos[links] * s)
+    np.testing.assert_allclose(body.model.site_pos, reference.model.site_pos * s)
 
 
 def test_paper_preset_scales_linearly_with_200_newton_metres_and_two_substeps() -> None:
@@ -76,6 +80,17 @@ def test_foot_sensors_carry_the_weight_of_the_standing_body() -> None:
         mujoco.mj_step(model, data)
     force = data.sensordata.reshape(2, 3)
     assert -force[:, 2].sum() == pytest.approx(70.0 * 9.81, rel=0.1)
+
+
+def test_foot_sensors_feel_the_floor_and_not_the_other_foot() -> None:
+    model = build_body(1.75, self_collision=True).model
+    data = mujoco.MjData(model)
+    data.qpos[2] = 3.0
+    data.joint("left_hip_x").qpos, data.joint("right_hip_x").qpos = -0.1, 0.1
+    mujoco.mj_forward(model, data)
+    touching = {model.body(model.geom_bodyid[geom]).name for geom in data.contact.geom.ravel()}
+    assert {"left_foot", "right_foot"} <= touching
+    np.testing.assert_array_equal(data.sensordata, 0.0)
 
 
 def test_links_collide_with_each_other_only_on_request() -> None:
