@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
 from questsim.errors import InputError
 from questsim.reward import RewardConfig
-from questsim.sensors import SensorNoise, sensor_set
+from questsim.sensors import DEVICES, SensorNoise, sensor_set
 
 MAX_FUTURE_FRAMES = 6
 SAMPLING = ("uniform", "failure")
@@ -18,7 +18,7 @@ class EnvConfig:
     """An environment's options; the defaults are QuestSim's H+2C task.
 
     Attributes:
-        sensors: name of a sensor set whose poses the policy sees.
+        sensors: name of a sensor set whose poses the policy sees; one without IMUs.
         future_frames: o_user holds this many frames from the next one on; with 0 it holds the
             present frame alone (no latency).
         heights: lowest and highest stature in metres, spread evenly over the environments; None
@@ -49,7 +49,14 @@ class EnvConfig:
     noise: SensorNoise | None = None
 
     def __post_init__(self) -> None:
-        sensor_set(self.sensors)
+        imus = [name for name in sensor_set(self.sensors) if DEVICES[name].kind == "imu"]
+        if imus:
+            # Its place is what an IMU does not know: to show it would be to cheat.
+            raise InputError(
+                f"sensor set {self.sensors!r} has {imus[0]}, which reports no pose",
+                "EnvConfig",
+                "use a set without IMUs",
+            )
         if not 0 <= self.future_frames <= MAX_FUTURE_FRAMES:
             raise InputError(
                 f"future_frames is {self.future_frames}, not 0 to {MAX_FUTURE_FRAMES}", "EnvConfig"

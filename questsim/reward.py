@@ -27,8 +27,8 @@ class RewardConfig:
     """Weights ``w`` and kernel widths ``k`` of the terms.
 
     The weights and the kernels of angles, positions and contact are QuestSim's. Its velocity
-    kernels, 0.3 and 2, belong to sums smoothed by billions of steps; the defaults are softer,
-    which is what lets a policy learn in few (docs/training.md).
+    kernels, 0.3 and 2, see nothing but good tracking: joints that are off by 3 rad/s already earn
+    exp(-2.7). The defaults are softer, so that a beginner too is told what is better.
     """
 
     joint_angles: float = 0.4

@@ -265,7 +265,14 @@ def test_a_motion_shorter_than_the_future_window_is_refused_by_name() -> None:
 
 
 @pytest.mark.parametrize(
-    "options", [{"sensors": "X"}, {"future_frames": 7}, {"sampling": "y"}, {"heights": (1.0, 2.0)}]
+    "options",
+    [
+        {"sensors": "X"},
+        {"sensors": "H+2C+2IMU"},
+        {"future_frames": 7},
+        {"sampling": "y"},
+        {"heights": (1.0, 2.0)},
+    ],
 )
 def test_impossible_options_are_refused(options: dict) -> None:
     with pytest.raises(InputError):
