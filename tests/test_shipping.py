@@ -1,0 +1,261 @@
+"""Shipping a policy: what is copied, what its card says, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from rollouts import moving_clip, rollout
+
+from agents import shipping
+from agents.agent import Needs, PolicyAgent, Tracker, new_policy
+from agents.checkpoint import load_policy, save_policy
+from agents.licence import licence_of, strictest
+from agents.presets import PRESETS
+from agents.run_folder import start_run
+from agents.shipping import ShipArgs, check_name, ship
+from agents.spec import TRACKER_BLOCKS, Layout, PolicySpec
+from agents.training import TrainArgs
+from envs.config import EnvConfig
+from envs.layout import observation_layout
+from questsim import cli
+from questsim.errors import InputError
+from questsim.metrics import evaluate
+
+BANDAI = "bandai-namco-2:train"
+
+
+def data(motions: str = "synthetic", **licences: int) -> dict:
+    licences = licences or {"MIT": 40}
+    return {
+        "motions": motions, "clips": sum(licences.values()), "seconds": 1800.0,
+        "licences": licences, "sha256": motions,
+    }  # fmt: skip
+
+
+def new_run(folder: Path, record: dict, **options) -> Path:
+    args = TrainArgs(out=folder, **{"motions": record["motions"]} | options)
+    start_run(folder, args, PRESETS[args.preset], record)
+    return folder
+
+
+def add_stage(run: Path, stage: str, record: dict, steps: int, minutes: float, **needs) -> None:
+    """A stage that went on for half as long again after its best policy."""
+    torch.manual_seed(0)
+    teacher = stage == "teacher"
+    blocks = {"actor_blocks": TRACKER_BLOCKS, "reference_head": True} if teacher else {}
+    config = EnvConfig(privileged=teacher, **needs)
+    spec = PolicySpec(critic_blocks=(), hidden=(16, 8), activation="elu", **blocks)
+    layout = Layout.of(observation_layout(config)).within(spec.actor_blocks)
+    policy = new_policy(spec, layout)
+    for which, factor in (("best", 1.0), ("last", 1.5)):
+        training = {
+            "preset": "cpu", "seed": 7, **record, "stage": stage,
+            "steps": int(steps * factor), "minutes": minutes * factor,
+        }  # fmt: skip
+        save_policy(run / stage / which, policy, Needs(privileged=teacher, **needs), training)
+
+
+@pytest.fixture
+def run(tmp_path) -> Path:
+    """A teacher and its student, on motions that allow no commercial use."""
+    record = data(BANDAI, **{"CC-BY-NC-4.0": 100})
+    folder = new_run(tmp_path / "private" / "mine", record, seed=7, mirrored=True)
+    add_stage(folder, "teacher", record, 12_000_000, 120.0)
+    add_stage(folder, "student", record, 1_600_000, 30.0)
+    return folder
+
+
+def metrics_of(policy: Path, folder: Path, name: str = "metrics", **config) -> Path:
+    """What an evaluation of a policy writes."""
+    clips = [moving_clip(seed=0, kind="walk"), moving_clip(seed=1, kind="run")]
+    context = {
+        "training": load_policy(policy).card["training"],
+        "data": {"motions": "bandai-namco-2:test"},
+        "config": {"heights": None} | config,
+    }
+    rollouts = [rollout(clips[0]), rollout(clips[1], frames=8, fell=True)]
+    path = folder / f"{name}.json"
+    path.write_text(json.dumps(evaluate(rollouts, context)))
+    return path
+
+
+def card_of(folder: Path) -> str:
+    return (folder / "README.md").read_text()
+
+
+def test_best_policy_is_copied_and_loads_by_name(run, tmp_path, monkeypatch):
+    shipped = tmp_path / "weights"
+    assert ship(ShipArgs(run, "walker", into=shipped)) == 0
+    assert {path.name for path in (shipped / "walker").iterdir()} == {
+        "README.md", "policy.safetensors", "policy.yaml",
+    }  # fmt: skip
+    monkeypatch.setattr("agents.checkpoint.SHIPPED", shipped)
+    from agents.agent import load_agent
+
+    agent, trained = load_agent("walker"), load_policy(run / "student" / "best")
+    assert isinstance(agent, PolicyAgent)
+    obs = np.random.default_rng(0).normal(size=(2, 475)).astype(np.float32)
+    np.testing.assert_array_equal(agent.act(obs), trained.act(obs))
+
+
+def test_teacher_is_shipped_as_a_tracker(run, tmp_path):
+    ship(ShipArgs(run / "teacher", "tracker", into=tmp_path))
+    assert isinstance(load_policy(tmp_path / "tracker"), Tracker)
+    card = card_of(tmp_path / "tracker")
+    assert "any full-body reference" in card
+    assert "headset" not in card
+    assert "student" not in card.partition("## Figures")[0]
+
+
+def test_card_tells_data_licence_commands_seed_and_hours(run, tmp_path):
+    ship(ShipArgs(run, "walker", into=tmp_path))
+    card = card_of(tmp_path / "walker")
+    assert "| licence | CC-BY-NC-4.0 |" in card
+    assert "**no commercial use**" in card
+    assert "Copyright Bandai Namco Research Inc." in card
+    assert f"`{BANDAI}`: 100 clips, 30 min" in card
+    assert "teacher 18.0 M steps, 3.0 h; student 2.4 M steps, 45 min; 3.8 h in all" in card
+    assert "| seed | 7 |" in card
+    options = f"--motions {BANDAI} --preset cpu --mirrored --seed 7"
+    assert (
+        f"python train.py {options} --stage teacher --minutes 180 --out runs/NAME\n"
+        f"python train.py {options} --stage student --minutes 45 --out runs/NAME --resume\n"
+    ) in card
+    assert "6 frames of the future: 170 ms" in card
+    assert str(tmp_path) not in card
+    assert "It has not been evaluated." in card
+
+
+def test_commands_of_a_card_are_ones_that_train_takes(run, tmp_path):
+    import shlex
+
+    import tyro
+
+    ship(ShipArgs(run, "walker", into=tmp_path))
+    training = yaml.safe_load((tmp_path / "walker" / "policy.yaml").read_text())["training"]
+    for line in training["commands"]:
+        args = tyro.cli(TrainArgs, args=shlex.split(line)[2:])
+        assert (args.motions, args.seed, args.mirrored) == (BANDAI, 7, True)
+
+
+def test_card_has_the_figures_of_each_evaluation(run, tmp_path):
+    best = run / "student" / "best"
+    own = metrics_of(best, tmp_path)
+    tall = metrics_of(best, tmp_path, "tall", heights=[1.95, 1.95])
+    ship(ShipArgs(run, "walker", (own, tall), tmp_path))
+    card = card_of(tmp_path / "walker")
+    assert "### bandai-namco-2:test, 2 clips, the clips' own statures" in card
+    assert "### bandai-namco-2:test, 2 clips, 1.95 m" in card
+    assert "| success (%) | 50.0 | 100.0 |" in card
+    assert "| walk | 1 | 100.0 | 0.00 |" in card
+    assert "| run | 1 | 0.0 |" in card
+    assert "real-time" not in card
+
+
+def test_metrics_of_the_shipped_policy_are_its_own(run, tmp_path):
+    ship(ShipArgs(run, "walker", into=tmp_path))
+    again = metrics_of(tmp_path / "walker", tmp_path)
+    assert ship(ShipArgs(run, "walker", (again,), tmp_path)) == 0
+    assert "| success (%) | 50.0 | 100.0 |" in card_of(tmp_path / "walker")
+
+
+def test_metrics_of_another_policy_are_refused_and_the_old_one_stays(run, tmp_path):
+    ship(ShipArgs(run, "walker", into=tmp_path))
+    before = card_of(tmp_path / "walker")
+    other = metrics_of(run / "student" / "last", tmp_path)
+    with pytest.raises(InputError, match="another policy: its steps is 2400000, not 1600000"):
+        ship(ShipArgs(run, "walker", (other,), tmp_path))
+    assert card_of(tmp_path / "walker") == before
+
+
+@pytest.mark.parametrize("content", ["no json", "[]", '{"schema": "x"}'])
+def test_what_is_no_report_is_refused(run, tmp_path, content):
+    path = tmp_path / "metrics.json"
+    path.write_text(content)
+    with pytest.raises(InputError, match="is no report"):
+        ship(ShipArgs(run, "walker", (path,), tmp_path / "weights"))
+    assert not (tmp_path / "weights").exists()
+
+
+def test_student_of_another_runs_teacher_has_both_licences_and_commands(run, tmp_path):
+    record = data()
+    other = new_run(tmp_path / "headset", record, stage="student", teacher=run, sensors="H")
+    add_stage(other, "student", record, 1_000_000, 20.0, sensors="H")
+    ship(ShipArgs(other, "headset", into=tmp_path))
+    card = card_of(tmp_path / "headset")
+    assert "| licence | CC-BY-NC-4.0 |" in card
+    assert f"earlier stages on `{BANDAI}`" in card
+    assert "--stage teacher --minutes 180 --out runs/TEACHER\n" in card
+    assert (
+        "--sensors H --stage student --minutes 30 --out runs/NAME --teacher runs/TEACHER\n"
+    ) in card
+
+
+def test_policy_of_our_own_motions_is_under_our_licence(tmp_path):
+    record = data()
+    run = new_run(tmp_path / "demo", record)
+    add_stage(run, "teacher", record, 1_000_000, 20.0)
+    add_stage(run, "student", record, 1_000_000, 20.0, future_frames=0)
+    ship(ShipArgs(run, "demo", into=tmp_path / "weights"))
+    card = card_of(tmp_path / "weights" / "demo")
+    assert "| licence | MIT |" in card
+    assert "commercial" not in card
+    assert "the present frame of headset, left controller, right controller" in card
+    assert "of the future" not in card
+
+
+def test_policy_from_motions_without_a_licence_is_refused(tmp_path):
+    record = data("mine.npz", **{"MIT": 1, "not stated": 2})
+    run = new_run(tmp_path / "mine", record)
+    add_stage(run, "teacher", record, 1000, 1.0)
+    with pytest.raises(InputError, match="no stated licence"):
+        ship(ShipArgs(run, "mine", into=tmp_path / "weights"))
+    assert not (tmp_path / "weights").exists()
+
+
+def test_large_weights_are_refused(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(shipping, "MAX_BYTES", 1000)
+    with pytest.raises(InputError, match="more than 10 MB"):
+        ship(ShipArgs(run, "walker", into=tmp_path / "weights"))
+    assert not (tmp_path / "weights").exists()
+
+
+def test_policy_outside_a_run_is_refused(run, tmp_path):
+    (run / "run.yaml").unlink()
+    with pytest.raises(InputError, match="not inside a run"):
+        ship(ShipArgs(run, "walker", into=tmp_path / "weights"))
+
+
+@pytest.mark.parametrize("name", ["zero", "random", "../x", "A", "", "-x", "a/b"])
+def test_name_that_is_none_is_refused(name):
+    with pytest.raises(InputError, match="no name for a policy"):
+        check_name(name)
+
+
+def test_command_line_ships(run, tmp_path, capsys):
+    words = ["ship", "--run", str(run), "--name", "demo", "--into", str(tmp_path / "weights")]
+    assert cli.main(words) == 0
+    assert "CC-BY-NC-4.0" in capsys.readouterr().out
+
+
+def test_licence_of_weights_is_the_strictest_of_its_motions():
+    assert strictest(["MIT", "MIT"]) == "MIT"
+    assert strictest(["MIT", "CC-BY-NC-4.0"]) == "CC-BY-NC-4.0"
+    assert strictest(["CC-BY-4.0", "MIT", "CC-BY-NC-4.0"]) == "CC-BY-4.0 AND CC-BY-NC-4.0"
+    assert strictest(["MIT", "not stated"]) == "not stated"
+    assert strictest([]) == "not stated"
+    assert licence_of({"licence": "CC-BY-NC-4.0", "licences": {"MIT": 1}}) == "CC-BY-NC-4.0"
+
+
+def test_shipped_policies_are_small_and_have_cards_and_licences():
+    folders = [path for path in shipping.SHIPPED.glob("*") if path.is_dir()]
+    for folder in folders:
+        check_name(folder.name)
+        agent = load_policy(folder)
+        assert licence_of(agent.card["training"]) in card_of(folder)
+        assert all(path.stat().st_size < shipping.MAX_BYTES for path in folder.iterdir())
