@@ -20,7 +20,8 @@ class Monitor:
     """Gathers what happens between two log points and writes it for TensorBoard.
 
     Args:
-        env: the training environment; its ``reward_terms`` are read after each step.
+        env: the training environment; its ``reward_terms`` are read after each step, and its
+            ``unstable_count`` where something is written.
         folder: for TensorBoard's files.
     """
 
@@ -62,6 +63,7 @@ class Monitor:
             record("rollout/fell", sum(self._fallen.values()) / sum(self._ended.values()))
         for kind, ended in self._ended.items():
             record(f"falls/{kind or 'unknown'}", self._fallen[kind] / ended)
+        record("rollout/unstable_count", self._env.unstable_count)
         record("time/steps_per_second", rate)
         for name, value in figures.items():
             record(name, value)

@@ -113,7 +113,11 @@ class Stage:
     history: list[dict[str, float]] = field(default_factory=list)
 
     def resume(self) -> None:
-        """Go on from the last checkpoint: steps, networks, optimiser, sampler, random states."""
+        """Go on from the last checkpoint: steps, networks, optimiser, sampler, random states.
+
+        The avatars go on with their episodes, so that PPO ends with the bits of a run that was
+        not interrupted.
+        """
         state = load_resume(self.folder / "last")
         self.learner.load_state_dict(state["learner"])
         self.env.set_state(unpack(state["env"]))

@@ -18,9 +18,10 @@ from envs.config import EnvConfig
 from envs.layout import observation_layout, observation_size
 from envs.reference import Reference
 from envs.sampler import Sampler
+from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M, Body, build_body
 from questsim.errors import InputError
-from questsim.motion.clip import Clip
+from questsim.motion.clip import FPS, Clip
 from questsim.motion.kinematics import sole_positions
 from questsim.reward import TERMS
 from questsim.skeleton import FOOT_LINKS
@@ -32,6 +33,10 @@ _UNSTABLE = [
     int(mujoco.mjtWarning.mjWARN_BADQVEL),
     int(mujoco.mjtWarning.mjWARN_BADQACC),
 ]
+
+
+# What belongs to a running episode, beside the physics.
+_EPISODE = ("clip", "frame", "_first", "_end", "contact_force", "_previous_force")
 
 
 class BatchSim:
@@ -208,12 +213,12 @@ class BatchSim:
 
         Velocities are the differences from the poses before, contact forces zero.
         """
-        velocity = np.zeros(self.qvel.shape[1])
-        for i in range(self.num_envs):
-            model = self.batch.model
-            mujoco.mj_differentiatePos(model, velocity, 1.0 / 36.0, self.qpos[i].copy(), pose[i])
-            self.qvel[i] = velocity
-        self.qpos[:] = pose
+        before, after = self.qpos, np.asarray(pose, float)
+        turn = rot.quat_multiply(rot.quat_conjugate(before[:, 3:7]), after[:, 3:7])
+        self.qvel[:, :3] = FPS * (after[:, :3] - before[:, :3])
+        self.qvel[:, 3:6] = FPS * rot.as_rotation(turn).as_rotvec()
+        self.qvel[:, 6:] = FPS * (after[:, 7:] - before[:, 7:])
+        self.qpos[:] = after
         self.batch.forward(stage=_CURRENT)
         self._after_step(physics=False)
 
@@ -226,12 +231,15 @@ class BatchSim:
         np.minimum(self.frame, self._end - 1, out=self.frame)
         self._run(self._score_chunk, self._chunks)
         self.unstable[:] = (self.batch.warning[:, _UNSTABLE, 1] > 0).any(axis=1)
-        self.unstable |= ~np.isfinite(self.error)
+        self.unstable |= ~np.isfinite(self.error + self.reward)
         self.unstable_count += int(self.unstable.sum())
-        self.reward[self.unstable] = 0.0
+        self.reward[self.unstable], self.reward_terms[self.unstable] = 0.0, 0.0
         np.logical_or(self.error > self.config.max_error_m, self.unstable, out=self.fell)
         np.logical_and(self.frame >= self._end - 1, ~self.fell, out=self.ended)
         self._observe(self._all)
+        if self.unstable.any():
+            broken = self.observation[self.unstable]
+            self.observation[self.unstable] = np.nan_to_num(broken, posinf=0.0, neginf=0.0)
 
     def record_ended(self, ids: np.ndarray) -> None:
         """Tell the sampler how the episodes of ``ids`` ended; call before their ``reset``."""
@@ -276,13 +284,36 @@ class BatchSim:
         self._rng = np.random.default_rng(seed)
 
     def get_state(self) -> dict[str, Any]:
-        """Random and sampler state, for resuming a training."""
-        return {"rng": self._rng.bit_generator.state, "sampler": self._sampler.get_state()}
+        """What the coming steps depend on: random numbers, sampler, episodes and physics."""
+        return {
+            "rng": self._rng.bit_generator.state,
+            "sampler": self._sampler.get_state(),
+            "unstable_count": self.unstable_count,
+            "episodes": {name: getattr(self, name).copy() for name in _EPISODE},
+            "physics": self.batch.state.copy(),
+        }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Take up what ``get_state`` gave."""
+        """Take up what ``get_state`` gave, and observe; the next steps are those it would have had.
+
+        Raises:
+            InputError: the state is of another number of simulations.
+        """
         self._rng.bit_generator.state = state["rng"]
         self._sampler.set_state(state["sampler"])
+        if "physics" not in state:  # of an earlier version: episodes begin anew
+            return
+        if state["physics"].shape != self.batch.state.shape:
+            raise InputError(
+                f"state is of {len(state['physics'])} simulations", "resume", "use as many"
+            )
+        self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE.value))
+        self.batch.state[:] = state["physics"]
+        self.batch.forward(stage=_CURRENT)
+        for name in _EPISODE:
+            getattr(self, name)[:] = state["episodes"][name]
+        self.unstable_count = state["unstable_count"]
+        self._observe(self._all)
 
     def close(self) -> None:
         """Stop the threads."""

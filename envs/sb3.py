@@ -15,6 +15,7 @@ from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.layout import observation_size
 from questsim.motion.clip import Clip
+from questsim.reward import TERMS
 from questsim.skeleton import NUM_DOFS
 
 
@@ -22,8 +23,9 @@ class QuestVecEnv(VecEnv):
     """The avatars of a ``BatchSim`` as a VecEnv; ended episodes begin anew by themselves.
 
     ``infos[i]`` is empty but at an episode's end, when it holds ``terminal_observation``,
-    ``TimeLimit.truncated``, ``episode`` (``r``, ``l``, ``t``), ``clip``, ``kind`` and ``fell``.
-    The terms of every step's reward are in ``reward_terms`` ``(n, 5)``.
+    ``TimeLimit.truncated``, ``episode`` (``r``, ``l``, ``t``), ``clip``, ``kind``, ``fell`` and
+    the mean of each term of the reward by name. The terms of every single step are in
+    ``reward_terms`` ``(n, 5)``.
 
     Args:
         clips, config, num_envs, seed, num_threads: as of ``BatchSim``.
@@ -48,7 +50,9 @@ class QuestVecEnv(VecEnv):
         self._action = np.zeros((self.sim.num_envs, NUM_DOFS))
         self._return = np.zeros(self.sim.num_envs)
         self._length = np.zeros(self.sim.num_envs, np.int64)
+        self._terms = np.zeros((self.sim.num_envs, len(TERMS)))
         self._began = time.perf_counter()
+        self._restored = False
 
     def __getattr__(self, name: str) -> Any:
         """Everything else is the simulation's: layout, link_positions, reward_terms, ..."""
@@ -67,14 +71,19 @@ class QuestVecEnv(VecEnv):
         return self.sim.body.damping
 
     def reset(self) -> np.ndarray:
-        """Begin an episode in every environment; observations ``(n, size)``."""
+        """Begin an episode in every environment; observations ``(n, size)``.
+
+        The first reset after ``set_state`` begins nothing: the restored episodes go on.
+        """
+        if self._restored:
+            self._restored = False
+            return self.sim.observation.copy()
         for seed in self._seeds[:1]:
             if seed is not None:
                 self.sim.seed(seed)
         self._reset_seeds()
         self.sim.reset()
-        self._return[:] = 0.0
-        self._length[:] = 0
+        self._return[:], self._length[:], self._terms[:] = 0.0, 0, 0.0
         return self.sim.observation.copy()
 
     def step(
@@ -94,6 +103,7 @@ class QuestVecEnv(VecEnv):
         self._advance()
         self._return += sim.reward
         self._length += 1
+        self._terms += sim.reward_terms
         done = sim.fell | sim.ended
         reward = sim.reward.astype(np.float32)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -110,6 +120,7 @@ class QuestVecEnv(VecEnv):
         elapsed = round(time.perf_counter() - self._began, 6)
         for i in ids:
             clip = sim.clip[i]
+            terms = (self._terms[i] / self._length[i]).tolist()
             infos[i] = {
                 "terminal_observation": sim.observation[i].copy(),
                 "TimeLimit.truncated": bool(sim.ended[i]),
@@ -121,11 +132,30 @@ class QuestVecEnv(VecEnv):
                 "clip": sim.reference.names[clip],
                 "kind": sim.reference.kinds[clip],
                 "fell": bool(sim.fell[i]),
+                **dict(zip(TERMS, terms, strict=True)),
             }
         sim.record_ended(ids)
         sim.reset(ids)
-        self._return[ids] = 0.0
-        self._length[ids] = 0
+        self._return[ids], self._length[ids], self._terms[ids] = 0.0, 0, 0.0
+
+    def get_state(self) -> dict[str, Any]:
+        """What the coming steps depend on, for resuming a training."""
+        sums = {"returns": self._return, "lengths": self._length, "terms": self._terms}
+        return self.sim.get_state() | {name: value.copy() for name, value in sums.items()}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Take up what ``get_state`` gave; get the observation by ``reset``, then step on.
+
+        Raises:
+            InputError: the state is of another number of environments.
+        """
+        self.sim.set_state(state)
+        # A seed that waits for the next reset would undo the restored random numbers.
+        self._reset_seeds()
+        if "physics" in state:
+            self._return[:], self._length[:] = state["returns"], state["lengths"]
+            self._terms[:] = state["terms"]
+            self._restored = True
 
     def close(self) -> None:
         """Stop the simulation's threads."""

@@ -28,6 +28,7 @@ class FakeVecEnv(VecEnv):
     torque_limits = np.full(NUM_DOFS, 100.0)
     damping = np.full(NUM_DOFS, 0.5)
     episode_frames = 40
+    unstable_count = 0
 
     def __init__(self, num_envs: int = 8, seed: int = 0) -> None:
         self.layout = {name: slice(*block) for name, block in BLOCKS.items()}

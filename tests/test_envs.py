@@ -196,6 +196,9 @@ def test_a_falling_avatar_terminates_and_a_finished_clip_truncates() -> None:
         if dones[0]:
             break
     assert infos[0]["fell"] and not infos[0]["TimeLimit.truncated"]
+    episode, weights = infos[0]["episode"], env.sim.config.reward.weights
+    mean = sum(w * infos[0][term] for w, term in zip(weights, reward.TERMS, strict=True))
+    assert mean == pytest.approx(episode["r"] / episode["l"])
     assert infos[0]["clip"] == "b" and infos[0]["kind"] == "wave"
 
     env = QuestVecEnv(CLIPS[1:2], EnvConfig(fixed_start=True, privileged=True, max_error_m=9.0))
@@ -234,16 +237,59 @@ def test_physics_that_is_not_finite_ends_the_episode_and_is_counted() -> None:
     assert not dones[1]
 
 
-def test_state_resumes_the_same_stream_of_episodes() -> None:
-    env = QuestVecEnv(CLIPS, EnvConfig(sampling="failure"), num_envs=5, seed=9)
+def test_terms_that_are_not_finite_count_as_nothing_and_show_nothing() -> None:
+    sim = BatchSim(CLIPS, EnvConfig(fixed_start=True))
+    sim.reset()
+    sim.qpos[1, 8] = np.nan
+    sim._after_step()
+    assert sim.unstable.tolist() == [False, True, False]
+    assert sim.reward[1] == 0.0 and (sim.reward_terms[1] == 0.0).all()
+    assert np.isfinite(sim.observation).all() and np.isfinite(sim.reward_terms).all()
+
+
+def resumable(seed: int) -> QuestVecEnv:
+    return QuestVecEnv(CLIPS, EnvConfig(sampling="failure"), num_envs=5, seed=seed)
+
+
+def test_a_restored_environment_goes_on_to_the_bit() -> None:
+    env = resumable(seed=9)
+    env.reset()
+    plan = actions(5, 60, 0.5)
+    for action in plan[:30]:
+        env.step(action)
+    other = resumable(seed=1)
+    other.seed(4)  # as a learner does when it is made
+    other.set_state(env.get_state())
+    np.testing.assert_array_equal(other.reset(), env.sim.observation)
+    ended = 0
+    for action in plan[30:]:
+        here, there = env.step(action), other.step(action)
+        for a, b in zip(here[:3], there[:3], strict=True):
+            np.testing.assert_array_equal(a, b)
+        ended += here[2].sum()
+        for a, b in zip(here[3], there[3], strict=True):
+            assert a.get("episode", {}).get("r") == b.get("episode", {}).get("r")
+            assert a.get("contact") == b.get("contact")
+    assert ended > 5
+    np.testing.assert_array_equal(other.reset(), env.reset())
+
+
+def test_a_state_without_physics_resumes_the_stream_of_episodes() -> None:
+    """As earlier versions saved it."""
+    env = resumable(seed=9)
     env.reset()
     for action in actions(5, 30, 0.5):
         env.step(action)
-    state = env.get_state()
-    first = env.reset()
-    other = QuestVecEnv(CLIPS, EnvConfig(sampling="failure"), num_envs=5, seed=1)
+    state = {name: value for name, value in env.get_state().items() if name in ("rng", "sampler")}
+    other = resumable(seed=1)
+    other.seed(4)
     other.set_state(state)
-    np.testing.assert_array_equal(other.reset(), first)
+    np.testing.assert_array_equal(other.reset(), env.reset())
+
+
+def test_a_state_of_another_number_of_environments_is_refused() -> None:
+    with pytest.raises(InputError, match="of 5 simulations"):
+        QuestVecEnv(CLIPS, num_envs=2).set_state(resumable(seed=0).get_state())
 
 
 def test_clips_that_fail_come_more_often_and_none_is_forgotten() -> None:
@@ -338,6 +384,12 @@ def test_poses_of_the_reference_score_full_marks_without_physics() -> None:
         assert not dones.any()
         assert env.sim.error.max() < 1e-5
         assert env.reward_terms[:, 0].min() > 0.999
+        for i, clip in enumerate(CLIPS):
+            expected = np.zeros(39)
+            mujoco.mj_differentiatePos(
+                build_body().model, expected, 1 / 36, clip.qpos[frame - 1], clip.qpos[frame]
+            )
+            np.testing.assert_allclose(env.sim.qvel[i], expected, atol=1e-4)
     with pytest.raises(InputError, match="not finite"):
         env.step(np.full((3, 40), np.nan))
 

@@ -1,4 +1,4 @@
-"""PPO, DAgger, stages and runs: what learns, what is saved, and what going on means."""
+"""Stages and runs: what is saved, and what going on means."""
 
 from __future__ import annotations
 
@@ -11,237 +11,25 @@ import pytest
 import torch
 import yaml
 from fake_env import FakeVecEnv
-from gymnasium import spaces
 from helpers import swaying_clip
+from learners import nothing, small_ppo
 
 from agents import training
-from agents.agent import Needs, PolicyAgent, load_agent, new_policy
-from agents.buffers import TensorRolloutBuffer
+from agents.agent import Needs, PolicyAgent, load_agent
 from agents.checkpoint import load_resume
-from agents.dagger import Dagger, DaggerConfig, Memory
 from agents.learner import TrainingError
 from agents.monitor import Display, evaluation_figures
-from agents.ppo import AdaptivePPO, _gaussian_kl
-from agents.presets import PRESETS, PPOConfig, StageConfig
+from agents.presets import PRESETS, PPOConfig
 from agents.rolling import Followed, choose_clips
-from agents.spec import SPARSE_BLOCKS, TRACKER_BLOCKS, Layout, PolicySpec
+from agents.spec import SPARSE_BLOCKS, PolicySpec
 from agents.stage import Budget, Stage, Stopper
-from agents.training import TrainArgs, make_ppo, split_validation, train
+from agents.training import TrainArgs, split_validation, train
 from questsim.errors import InputError
-
-SMALL = PolicySpec(TRACKER_BLOCKS, TRACKER_BLOCKS, (32, 32), "elu", reference_head=True)
-QUICK = PPOConfig(minibatch=128, rollout_steps=16)
 
 
 @pytest.fixture(autouse=True)
 def one_thread():
     torch.set_num_threads(1)
-
-
-def small_ppo(env: FakeVecEnv, seed: int = 0, **changes) -> AdaptivePPO:
-    config = StageConfig(1.0, SMALL, replace(QUICK, **changes))
-    assert isinstance(config.learning, PPOConfig)
-    return make_ppo(config, config.learning, env, seed)  # type: ignore[arg-type]
-
-
-def buffer_for(
-    env: FakeVecEnv, steps: int, decay: float = 0.95, gamma: float = 0.97
-) -> TensorRolloutBuffer:
-    observations, actions = env.observation_space, env.action_space
-    assert isinstance(observations, spaces.Box)
-    assert isinstance(actions, spaces.Box)
-    return TensorRolloutBuffer(steps, observations, actions, "cpu", decay, gamma, env.num_envs)
-
-
-def nothing(*_: object) -> None:
-    """An observer that looks away."""
-
-
-def test_advantages_are_discounted_sums_of_surprises_up_to_the_episodes_end():
-    rng = np.random.default_rng(0)
-    steps, envs, gamma, decay = 7, 3, 0.9, 0.8
-    env = FakeVecEnv(envs)
-    buffer = buffer_for(env, steps, decay, gamma)
-    buffer.rewards[:] = torch.from_numpy(rng.normal(size=(steps, envs)))
-    buffer.values[:] = torch.from_numpy(rng.normal(size=(steps, envs)))
-    buffer.dones[:] = torch.from_numpy(rng.random((steps, envs)) < 0.3)
-    last = torch.from_numpy(rng.normal(size=envs)).float()
-    buffer.compute_advantages(last)
-    values = torch.cat([buffer.values, last[None]])
-    for i in range(envs):
-        for t in range(steps):
-            expected, weight = 0.0, 1.0
-            for k in range(t, steps):
-                done = float(buffer.dones[k, i])
-                surprise = buffer.rewards[k, i] + gamma * (1 - done) * values[k + 1, i]
-                expected += weight * float(surprise - values[k, i])
-                if done:
-                    break
-                weight *= gamma * decay
-            assert float(buffer.advantages[t, i]) == pytest.approx(expected, abs=1e-5)
-
-
-def test_minibatches_visit_every_row_once_with_its_own_numbers():
-    env = FakeVecEnv(4)
-    buffer = buffer_for(env, 5)
-    buffer.values[:] = torch.arange(20.0).view(5, 4)
-    buffer.observations[..., 0] = buffer.values
-    batches = list(buffer.minibatches(6, torch.Generator().manual_seed(0)))
-    assert [len(b.returns) for b in batches] == [6, 6, 6, 2]
-    seen = torch.cat([b.returns for b in batches])
-    assert sorted(seen.tolist()) == list(range(20))
-    assert all(torch.equal(b.observations[:, 0], b.returns) for b in batches)
-
-
-def test_kl_is_that_of_normal_distributions():
-    means, stds = torch.randn(2, 5, 3), torch.rand(2, 3) + 0.1
-    p, q = (torch.distributions.Normal(m, s) for m, s in zip(means, stds, strict=True))
-    expected = torch.distributions.kl_divergence(p, q).sum(1).mean()
-    found = _gaussian_kl(means[0], stds[0].log(), means[1], stds[1].log())
-    torch.testing.assert_close(found, expected)
-
-
-def test_learning_rate_follows_the_kl_divergence():
-    ppo = small_ppo(FakeVecEnv(2), desired_kl=0.02, learning_rate=1e-4)
-    ppo._adapt_rate(0.05)
-    assert ppo.actor_rate == pytest.approx(0.5e-4)
-    ppo._adapt_rate(0.001)
-    assert ppo.actor_rate == pytest.approx(1e-4)
-    ppo._adapt_rate(0.02)
-    assert ppo.actor_rate == pytest.approx(1e-4)
-    fixed = small_ppo(FakeVecEnv(2), desired_kl=None, learning_rate=1e-4)
-    fixed._adapt_rate(5.0)
-    assert fixed.actor_rate == pytest.approx(1e-4)
-
-
-def test_truncated_episodes_are_worth_what_the_critic_says_of_their_last_state():
-    env = FakeVecEnv(2)
-    env.episode_frames = 16
-    ppo = small_ppo(env, reward_scale=1.0)
-    ppo.iterate(nothing, 0.0)
-    values: list[torch.Tensor] = []
-    predict = ppo.policy.predict_values
-
-    def recorded(obs: torch.Tensor) -> torch.Tensor:
-        values.append(predict(obs))
-        return values[-1]
-
-    ppo.policy.predict_values = recorded  # type: ignore[method-assign]
-    raw: list[np.ndarray] = []
-    ppo.iterate(lambda rewards, *_: raw.append(rewards.copy()), 0.0)
-    terminal = next(v for v in values if v.shape == (2, 1))
-    expected = torch.from_numpy(raw[-1]) + ppo.gamma * terminal.squeeze(1)
-    torch.testing.assert_close(ppo.rollout_buffer.rewards[-1], expected)
-    torch.testing.assert_close(ppo.rollout_buffer.rewards[0], torch.from_numpy(raw[0]))
-
-
-def test_normaliser_changes_only_between_rollout_and_next_rollout():
-    ppo = small_ppo(FakeVecEnv(8))
-    norm = ppo.policy.actor.norm
-    before = [p.detach().clone() for p in ppo.policy.parameters()]
-    ppo.iterate(nothing, 0.0)
-    assert norm.count.item() == 128
-    # The first rollout only measured the observations.
-    assert all(torch.equal(a, b) for a, b in zip(before, ppo.policy.parameters(), strict=True))
-    mean = norm.mean.clone()
-    seen: list[torch.Tensor] = []
-    step = ppo._step
-    ppo._step = lambda *a: (seen.append(norm.mean.clone()), step(*a))[1]  # type: ignore
-    ppo.iterate(nothing, 0.0)
-    assert seen
-    assert all(torch.equal(m, mean) for m in seen)
-    assert not torch.equal(norm.mean, mean)
-    assert norm.count.item() == 256
-
-
-def test_ppo_learns_to_follow():
-    env = FakeVecEnv(32)
-    ppo = small_ppo(env)
-    rewards: list[float] = []
-    while ppo.num_timesteps < 50_000:
-        ppo.iterate(lambda r, *_: rewards.append(float(r.mean())), 0.0)
-    assert np.mean(rewards[-100:]) > 3 * np.mean(rewards[:20])
-
-
-def test_ppo_runs_through_stable_baselines_learn():
-    ppo = small_ppo(FakeVecEnv(8))
-    ppo.learn(400)
-    assert ppo.num_timesteps == 512
-    assert ppo.ep_info_buffer
-
-
-def test_same_seed_gives_the_same_weights():
-    def weights() -> torch.Tensor:
-        torch.manual_seed(1)
-        ppo = small_ppo(FakeVecEnv(8, seed=1), seed=1)
-        for _ in range(3):
-            ppo.iterate(nothing, 0.0)
-        return torch.cat([p.detach().flatten() for p in ppo.policy.parameters()])
-
-    assert torch.equal(weights(), weights())
-
-
-def test_frozen_actor_keeps_its_weights_while_the_critic_learns():
-    ppo = small_ppo(FakeVecEnv(8))
-    ppo.iterate(nothing, 0.0)
-    ppo.actor_frozen = True
-    obs = ppo.rollout_buffer.flat_observations().clone()
-    layers = [p.detach().clone() for p in ppo.policy.actor_parameters()]
-    values = ppo.policy.predict_values(obs).detach()
-    ppo.iterate(nothing, 0.0)
-    assert all(
-        torch.equal(a, b) for a, b in zip(layers, ppo.policy.actor_parameters(), strict=True)
-    )
-    assert not torch.allclose(ppo.policy.predict_values(obs), values)
-
-
-def test_reward_that_is_not_finite_stops_training():
-    env = FakeVecEnv(4)
-    ppo = small_ppo(env)
-    ppo.iterate(nothing, 0.0)
-    env.reference = lambda ahead: np.full((4, 33), np.nan)  # type: ignore[method-assign]
-    with pytest.raises(TrainingError, match=r"training step 68: the reward is not finite"):
-        ppo.iterate(nothing, 0.0)
-
-
-def test_memory_forgets_the_oldest_states():
-    memory = Memory(5, 1, 1)
-    for first in (0, 3, 6):
-        rows = torch.arange(first, first + 3.0)[:, None]
-        memory.add(rows, rows * 10)
-    assert memory.size == 5
-    assert sorted(memory.observations.flatten().tolist()) == [4, 5, 6, 7, 8]
-    assert torch.equal(memory.labels, 10 * memory.observations)
-
-
-def trained_teacher(env: FakeVecEnv) -> PolicyAgent:
-    ppo = small_ppo(env)
-    while ppo.num_timesteps < 40_000:
-        ppo.iterate(nothing, 0.0)
-    teacher = PolicyAgent(ppo.policy, Needs(privileged=True))
-    teacher.bind(env)
-    return teacher
-
-
-def test_student_comes_to_act_like_its_teacher_from_sparse_observations():
-    env = FakeVecEnv(32)
-    teacher = trained_teacher(env)
-    sparse = Layout.of(env.layout).within(SPARSE_BLOCKS)
-    student = new_policy(PolicySpec(SPARSE_BLOCKS, (), (64,), "elu"), sparse)
-    config = DaggerConfig(mix_steps=5000, capacity=20_000, minibatch=256)
-    dagger = Dagger(env, teacher, student, config, seed=0)
-    assert dagger.beta == 1.0
-    obs = env.reset()
-    before = np.abs(student.predict_batch(obs) - teacher.act(obs)).mean()
-    while dagger.num_timesteps < 30_000:
-        dagger.iterate(nothing, dagger.num_timesteps / 30_000)
-    assert dagger.beta == 0.0
-    after = np.abs(student.predict_batch(obs) - teacher.act(obs)).mean()
-    assert after < 0.2 * before
-    # It reads nothing but the sparse part.
-    obs_without = obs.copy()
-    obs_without[:, 100:] = 7.0
-    np.testing.assert_array_equal(student.predict_batch(obs_without), student.predict_batch(obs))
 
 
 def followed(score: float) -> Followed:
@@ -418,6 +206,17 @@ def test_training_runs_its_stages_and_goes_on(clips, tmp_path):
     assert train(tiny(out, resume=True, steps=512, stage="teacher")) == 0
     assert load_resume(out / "teacher" / "last")["learner"]["steps"] == 512
     assert load_resume(out / "student" / "last")["learner"]["steps"] == 256
+
+
+def test_interrupted_training_ends_with_the_bits_of_one_that_was_not(clips, tmp_path):
+    train(tiny(tmp_path / "whole", stage="teacher", steps=512))
+    train(tiny(tmp_path / "parts", stage="teacher", steps=256))
+    train(tiny(tmp_path / "parts", stage="teacher", steps=512, resume=True))
+    whole, parts = (load_resume(tmp_path / run / "teacher" / "last") for run in ("whole", "parts"))
+    assert whole["learner"]["steps"] == parts["learner"]["steps"] == 512
+    for name, tensor in whole["learner"]["policy"].items():
+        assert torch.equal(tensor, parts["learner"]["policy"][name]), name
+    assert torch.equal(whole["env"]["physics"], parts["env"]["physics"])
 
 
 def test_student_of_another_sensor_set_has_the_same_teacher(clips, tmp_path):

@@ -1,0 +1,25 @@
+"""Small learners for tests."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from fake_env import FakeVecEnv
+
+from agents.ppo import AdaptivePPO
+from agents.presets import PPOConfig, StageConfig
+from agents.spec import TRACKER_BLOCKS, PolicySpec
+from agents.training import make_ppo
+
+SMALL = PolicySpec(TRACKER_BLOCKS, TRACKER_BLOCKS, (32, 32), "elu", reference_head=True)
+QUICK = PPOConfig(minibatch=128, rollout_steps=16)
+
+
+def nothing(*_: object) -> None:
+    """An observer that looks away."""
+
+
+def small_ppo(env: FakeVecEnv, seed: int = 0, **changes) -> AdaptivePPO:
+    config = StageConfig(1.0, SMALL, replace(QUICK, **changes))
+    assert isinstance(config.learning, PPOConfig)
+    return make_ppo(config, config.learning, env, seed)  # type: ignore[arg-type]
