@@ -107,6 +107,7 @@ def test_the_mean_skeleton_is_symmetric_and_as_tall_as_it_says():
         ({"poses": None}, "no array 'poses'"),
         ({"mocap_framerate": None}, "no array 'mocap_framerate'"),
         ({"mocap_framerate": np.array(0.0)}, "not above zero"),
+        ({"mocap_framerate": np.zeros(0)}, "no array .mocap_framerate"),
         ({"poses": np.zeros((40, 50))}, r"poses has shape \(40, 50\)"),
         ({"trans": np.zeros((39, 3))}, r"trans has shape \(39, 3\)"),
         ({"poses": np.full((40, 156), np.nan)}, "not finite in frame 0"),

@@ -304,6 +304,10 @@ def test_a_mapping_file_makes_an_unknown_skeleton_known(tmp_path):
         ("[joints]\nroot = 'a'\n", "lacks left_hip"),
         ("[joints]\ntail = 'a'\n", "unknown key 'tail'"),
         ("colour = 'red'\n", "unknown key 'colour'"),
+        ("joints = 3\n", "'joints' is of the wrong type"),
+        ("[joints]\nroot = 3\n", "'joints.root' is of the wrong type"),
+        ("foot_pitch = 'flat'\n", "'foot_pitch' is of the wrong type"),
+        ("up = 'w'\n", "up axis 'w'"),
     ],
 )
 def test_a_wrong_mapping_file_is_refused(text, reason, tmp_path):

@@ -157,7 +157,7 @@ def _load_npz(path: Path, needed: tuple[str, ...]) -> dict[str, np.ndarray]:
 
 def _frame_rate(arrays: dict[str, np.ndarray], path: Path) -> float:
     for key in ("mocap_framerate", "mocap_frame_rate"):
-        if key in arrays:
+        if key in arrays and arrays[key].size:
             fps = float(arrays[key].reshape(-1)[0])
             if not (np.isfinite(fps) and fps > 0):
                 raise InputError(f"{key} is {fps:g}, not above zero", path)

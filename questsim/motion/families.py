@@ -20,6 +20,8 @@ OPTIONAL = ("spine1", "spine2", "spine3", "neck", "left_clavicle", "right_clavic
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "cmu": 0.0254 / 0.45}
 """Metres a unit. CMU's skeletons are in inches times 0.45 (the ASF files' length unit)."""
 
+UP_AXES = ("y", "z", "x", "-y", "-z", "-x")
+
 
 @dataclass(frozen=True, eq=False)
 class Family:
@@ -209,6 +211,7 @@ def load_mapping(path: str | Path) -> Family:
         raise InputError(f"mapping file cannot be read ({error})", path) from None
     table = {"name": path.stem, "joints": {}, "up": None, "units": None} | table
     fields = Family.__dataclass_fields__
+    _check_types(table, path)
     unknown = [key for key in table if key not in fields]
     joints = table["joints"]
     unknown += [joint for joint in (*joints, *table.get("axes", {})) if joint not in JOINTS]
@@ -223,6 +226,22 @@ def load_mapping(path: str | Path) -> Family:
     for joint in JOINTS:
         _check_axes(family.axes_of(joint), path)
     return family
+
+
+def _check_types(table: dict[str, object], path: Path) -> None:
+    """Refuse values of another type than ``Family`` has; unknown keys are not looked at."""
+    number, text = (int, float), (str, type(None))
+    kinds = {"joints": dict, "axes": dict, "foot_pitch": number, "toe_pitch": number}
+    kinds |= {"name": str, "zero_axes": str, "up": text, "units": text, "feet_follow_shins": bool}
+    wrong = [key for key, value in table.items() if not isinstance(value, kinds.get(key, object))]
+    for group in ("joints", "axes"):
+        entries = table.get(group, {})
+        if isinstance(entries, dict):
+            wrong += [f"{group}.{key}" for key, v in entries.items() if not isinstance(v, str)]
+    if wrong:
+        raise InputError(f"the value of {wrong[0]!r} is of the wrong type", path)
+    if table.get("up") not in (None, *UP_AXES):
+        raise InputError(f"up axis {table['up']!r}", path, f"choose one of {', '.join(UP_AXES)}")
 
 
 def _check_axes(axes: str, path: Path) -> None:

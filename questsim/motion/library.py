@@ -163,71 +163,81 @@ def _check_header(archive: Any, path: Path) -> None:
             raise InputError(f"library has {key} {found}, not {expected}", path, AGAIN)
 
 
-def _parts(archive: Any, path: Path, kind: str, arrays: Sequence[str]) -> dict[str, list]:
-    """The arrays of ``kind`` cut into the frames of each entry, and the text about each."""
-    frames = archive[f"{kind}_frames"]
-    if frames.ndim != 1 or frames.dtype.kind not in "iu" or (frames < 1).any():
+def _array(archive: Any, path: Path, key: str, kinds: str, row: tuple[int, ...] = ()) -> np.ndarray:
+    """The array ``key``, if its rows have the shape ``row`` and its type is of ``kinds``."""
+    array = archive[key]
+    if array.dtype.kind not in kinds or array.ndim == 0 or array.shape[1:] != row:
+        raise InputError(f"{key} is {array.dtype} of shape {array.shape}", path, AGAIN)
+    return array
+
+
+def _parts(archive: Any, path: Path, kind: str, arrays: dict[str, tuple[int, ...]]) -> dict:
+    """Arrays of ``kind``, with these rows, cut into the frames of each entry, and its text."""
+    frames = _array(archive, path, f"{kind}_frames", "iu")
+    if (frames < 1).any():
         raise InputError(f"{kind}_frames are not counts above zero", path, AGAIN)
-    edges = np.concatenate([[0], np.cumsum(frames)])
     out: dict[str, list] = {}
-    for key in arrays:
-        array = archive[f"{kind}_{key}"]
-        if len(array) != edges[-1]:
-            raise InputError(f"{kind}_{key} has {len(array)} frames, not {edges[-1]}", path, AGAIN)
-        if not np.isfinite(array).all():
-            entry = int(np.searchsorted(edges, np.argwhere(~np.isfinite(array))[0][0], "right"))
-            raise InputError(
-                f"{kind}_{key} of {archive[f'{kind}_name'][entry - 1]} is not finite", path, AGAIN
-            )
-        out[key] = [array[a:b] for a, b in pairwise(edges)]
     for key in ("name", *ABOUT):
-        out[key] = [str(text) for text in archive[f"{kind}_{key}"]]
+        out[key] = [str(text) for text in _array(archive, path, f"{kind}_{key}", "U")]
         if len(out[key]) != len(frames):
             raise InputError(f"{kind}_{key} does not fit {kind}_frames", path, AGAIN)
     for name, digest in zip(out["name"], out["source_sha256"], strict=True):
         if digest and not _SHA256.fullmatch(digest):
             raise InputError(f"{kind}_source_sha256 of {name} is no SHA-256", path, AGAIN)
+    edges = np.concatenate([[0], np.cumsum(frames)])
+    for key, row in arrays.items():
+        array = _array(archive, path, f"{kind}_{key}", "f", row)
+        if len(array) != edges[-1]:
+            raise InputError(f"{kind}_{key} has {len(array)} frames, not {edges[-1]}", path, AGAIN)
+        if not np.isfinite(array).all():
+            entry = int(np.searchsorted(edges, np.argwhere(~np.isfinite(array))[0][0], "right"))
+            raise InputError(f"{kind}_{key} of {out['name'][entry - 1]} is not finite", path, AGAIN)
+        out[key] = [array[a:b] for a, b in pairwise(edges)]
     return out
 
 
+def _unit(quat: np.ndarray, what: str, path: Path) -> np.ndarray:
+    """Quaternions ``(..., 4)`` of unit length up to rounding, of exactly that length."""
+    quat = quat.astype(float)
+    norm = np.linalg.norm(quat, axis=-1, keepdims=True)
+    if (abs(norm - 1.0) > 1e-3).any():
+        raise InputError(f"{what} has rotations that are not unit quaternions", path, AGAIN)
+    return quat / norm
+
+
 def _load_motions(archive: Any, path: Path, names: Container[str] | None) -> list[Motion]:
-    parts = _parts(archive, path, "motion", ("root", "rotations"))
-    fps, offsets = archive["motion_fps"], archive["motion_offsets"]
+    parts = _parts(archive, path, "motion", {"root": (3,), "rotations": (NUM_JOINTS, 4)})
+    fps = _array(archive, path, "motion_fps", "f")
+    offsets = _array(archive, path, "motion_offsets", "f", (NUM_JOINTS, 3))
     if len(fps) != len(parts["name"]) or len(offsets) != len(fps):
         raise InputError("motion_fps or motion_offsets do not fit motion_frames", path, AGAIN)
-    motions = []
-    for i, name in enumerate(parts["name"]):
-        if names is not None and name not in names:
-            continue
-        rotations = parts["rotations"][i].astype(float)
-        norm = np.linalg.norm(rotations, axis=-1, keepdims=True)
-        if (abs(norm - 1.0) > 1e-3).any():
-            raise InputError(f"motion {name} has rotations that are not unit quaternions", path)
-        motions.append(
-            Motion(
-                name=name,
-                fps=float(fps[i]),
-                root_position=parts["root"][i].astype(float),
-                rotations=rotations / norm,
-                offsets=offsets[i].astype(float),
-                **{key: parts[key][i] for key in ABOUT},
-            )
+    return [
+        Motion(
+            name=name,
+            fps=float(fps[i]),
+            root_position=parts["root"][i].astype(float),
+            rotations=_unit(parts["rotations"][i], f"motion {name}", path),
+            offsets=offsets[i].astype(float),
+            **{key: parts[key][i] for key in ABOUT},
         )
-    return motions
+        for i, name in enumerate(parts["name"])
+        if names is None or name in names
+    ]
 
 
 def _load_clips(archive: Any, path: Path, names: Container[str] | None) -> list[Clip]:
+    from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
     from questsim.motion.kinematics import clips_from_qpos
 
-    parts = _parts(archive, path, "clip", ("qpos",))
-    heights = archive["clip_height_m"]
+    parts = _parts(archive, path, "clip", {"qpos": (7 + NUM_DOFS,)})
+    heights = _array(archive, path, "clip_height_m", "f")
     if len(heights) != len(parts["name"]):
         raise InputError("clip_height_m does not fit clip_frames", path, AGAIN)
     chosen = [i for i, name in enumerate(parts["name"]) if names is None or name in names]
-    if not chosen:
-        return []
-    if parts["qpos"][0].shape[1:] != (7 + NUM_DOFS,):
-        raise InputError(f"clip_qpos has rows of {parts['qpos'][0].shape[1:]}", path, AGAIN)
+    for i in chosen:
+        if not MIN_HEIGHT_M <= heights[i] <= MAX_HEIGHT_M:
+            raise InputError(f"clip {parts['name'][i]} is {heights[i]:g} m tall", path, AGAIN)
+        _unit(parts["qpos"][i][:, 3:7], f"clip {parts['name'][i]}", path)
     return clips_from_qpos(
         [parts["name"][i] for i in chosen],
         [parts["qpos"][i] for i in chosen],

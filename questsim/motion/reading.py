@@ -23,11 +23,10 @@ from questsim.motion.checks import (
     upright_share,
 )
 from questsim.motion.convert import axis_vector, global_pose, to_motion
-from questsim.motion.families import SMPL, UNITS, Family, load_mapping, recognise
+from questsim.motion.families import SMPL, UNITS, UP_AXES, Family, load_mapping, recognise
 from questsim.motion.motion import Motion
 from questsim.skeleton import JOINTS
 
-UP_AXES = ("y", "z", "x", "-y", "-z", "-x")
 SUFFIXES = (".bvh", ".npz")
 _CLIP_NAME = re.compile(r"dataset-\d+_(?P<kind>[a-z-]+)_(?P<style>[a-z-]+)_\d+")
 
