@@ -22,7 +22,7 @@ from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.motion.bvh import read_bvh
 from questsim.motion.convert import global_pose, world_axes
-from questsim.motion.families import FAMILIES, recognise
+from questsim.motion.families import FAMILIES, OPTIONAL, load_mapping, recognise
 from questsim.motion.reading import ReadOptions, read_motion
 from questsim.skeleton import JOINTS
 
@@ -295,6 +295,14 @@ def test_a_mapping_file_makes_an_unknown_skeleton_known(tmp_path):
     got, expected = motion.forward_kinematics()[0], original.forward_kinematics()[0]
     kept = [i for i, name in enumerate(JOINTS) if name not in left_out]
     np.testing.assert_allclose(got[:, kept], expected[:, kept], atol=1e-6)
+
+
+def test_the_mapping_file_of_the_documentation_is_one(tmp_path):
+    page = (Path(__file__).parents[1] / "docs" / "motion.md").read_text()
+    (tmp_path / "rig.toml").write_text(page.split("```toml\n")[1].split("```")[0])
+    family = load_mapping(tmp_path / "rig.toml")
+    assert (family.units, family.up) == ("cm", "y")
+    assert set(JOINTS) - set(family.joints) <= set(OPTIONAL)
 
 
 @pytest.mark.parametrize(
