@@ -6,7 +6,6 @@ import gzip
 import hashlib
 import io
 import os
-import tempfile
 import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from urllib.request import url2pathname
 import pooch
 
 from questsim.errors import InputError
+from questsim.files import whole_file
 
 DATA = Path(__file__).parent / "data"
 MAX_MEMBER_BYTES = 64 * 2**20
@@ -273,13 +273,5 @@ def _make(folder: Path) -> None:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Writes a small file whole or not at all."""
-    handle, name = tempfile.mkstemp(prefix=".", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except OSError as error:
-        Path(name).unlink(missing_ok=True)
-        raise InputError(f"cannot be written ({error.strerror})", path) from None
+    with whole_file(path) as fresh:
+        fresh.write_bytes(content)

@@ -5,9 +5,7 @@ Clips are stored as poses at 36 Hz; velocities, link poses and contacts follow f
 
 from __future__ import annotations
 
-import os
 import re
-import tempfile
 import zipfile
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from questsim.errors import InputError
+from questsim.files import whole_file
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.motion import Motion
 from questsim.skeleton import DOFS, JOINT_PARENTS, JOINTS, LINKS, NUM_DOFS, NUM_JOINTS
@@ -71,7 +70,8 @@ def save_library(path: str | Path, motions: Sequence[Motion], clips: Sequence[Cl
     for key in ABOUT:
         arrays[f"motion_{key}"] = _strings([getattr(m, key) for m in motions])
         arrays[f"clip_{key}"] = _strings([getattr(c, key) for c in clips])
-    write_atomically(Path(path), arrays)
+    with whole_file(path) as fresh:
+        np.savez(fresh, **arrays)  # type: ignore[arg-type]
 
 
 def load_library(
@@ -120,27 +120,6 @@ def is_library(path: str | Path) -> bool:
             return "format" in archive.files and str(archive["format"]) == FORMAT
     except (OSError, ValueError, EOFError, zipfile.BadZipFile):
         return False
-
-
-def write_atomically(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Writes an .npz beside ``path`` and renames it, so that no half file is ever seen."""
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    except OSError as error:
-        raise InputError(f"cannot be written ({error.strerror})", path) from None
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(name, 0o666 & ~umask)  # mkstemp makes files that only the owner can read
-        os.replace(name, path)
-    except OSError as error:
-        Path(name).unlink(missing_ok=True)
-        raise InputError(f"cannot be written ({error.strerror})", path) from None
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
 
 
 def _strings(values: list[str]) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Chart
 from PIL import Image, ImageDraw
 
+from questsim.files import whole_file
 from questsim.motion.clip import FPS, Clip
 from questsim.skeleton import FEET
 from questsim.viewing.captions import INK, caption, font
@@ -62,11 +62,8 @@ def contact_sheet(clip: Clip, path: str | Path, columns: int = 8, rows: int = 2)
     sheet.paste(strip, (0, HEADER + rows * height))
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    data = BytesIO()
-    sheet.save(data, "PNG", optimize=True)
-    partial = path.with_name(f".{path.name}.part")
-    partial.write_bytes(data.getvalue())
-    partial.replace(path)
+    with whole_file(path) as fresh:
+        sheet.save(fresh, "PNG", optimize=True)
     return rendered
 
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable
+from collections.abc import Generator, Iterable
+from contextlib import closing
 from itertools import chain
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 
 import imageio_ffmpeg
 import numpy as np
 
 from questsim.errors import InputError
+from questsim.files import whole_file
 
 
 def write_video(
@@ -31,8 +31,7 @@ def write_video(
         The number of frames.
 
     Raises:
-        InputError: there are no frames, or they differ in size.
-        OSError: the folder cannot be written.
+        InputError: there are no frames, they differ in size, or the folder cannot be written.
     """
     path = Path(path)
     frames = iter(frames)
@@ -42,11 +41,26 @@ def write_video(
     shape = first.shape
     height, width = shape[0] // 2 * 2, shape[1] // 2 * 2
     path.parent.mkdir(parents=True, exist_ok=True)
-    with NamedTemporaryFile(dir=path.parent, prefix=".video-", suffix=".mp4", delete=False) as file:
-        partial = Path(file.name)
-    writer = imageio_ffmpeg.write_frames(
-        str(partial),
-        (width, height),
+    with (
+        whole_file(path) as fresh,
+        closing(_encoder(fresh, (width, height), fps, quality)) as encoder,
+    ):
+        count = 0
+        for frame in chain([first], frames):
+            if frame.shape != shape:
+                raise InputError(f"frame {count} is {frame.shape}, the first is {shape}", path)
+            encoder.send(np.ascontiguousarray(frame[:height, :width]))
+            count += 1
+    return count
+
+
+def _encoder(
+    path: Path, size: tuple[int, int], fps: float, quality: int
+) -> Generator[None, np.ndarray, None]:
+    """An FFmpeg process that is sent pictures."""
+    encoder = imageio_ffmpeg.write_frames(
+        str(path),
+        size,
         fps=fps,  # pyright: ignore[reportArgumentType]  # ffmpeg takes fractions
         codec="libx264",
         pix_fmt_out="yuv420p",
@@ -55,25 +69,5 @@ def write_video(
         ffmpeg_log_level="error",
         output_params=["-movflags", "+faststart"],
     )
-    count = 0
-    try:
-        writer.send(None)
-        for frame in chain([first], frames):
-            if frame.shape != shape:
-                raise InputError(f"frame {count} is {frame.shape}, the first is {shape}", path)
-            writer.send(np.ascontiguousarray(frame[:height, :width]))
-            count += 1
-        writer.close()
-        # Temporary files are private; a video is for those who may read its folder.
-        partial.chmod(0o666 & ~_umask())
-        partial.replace(path)
-    finally:
-        writer.close()
-        partial.unlink(missing_ok=True)
-    return count
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+    encoder.send(None)
+    return encoder
