@@ -72,7 +72,20 @@ def start_run(out: Path, args: Any, preset: Any, data: dict[str, Any]) -> None:
         "preset": plain(preset),
         "data": data,
         "versions": versions(),
+        "resumed": [],
     }
+    _write(out, record)
+
+
+def note_resume(out: Path, args: Any, preset: Any) -> None:
+    """Add to a run's record with which options and preset it goes on."""
+    record = read_run(out)
+    again = {"args": plain(args), "preset": plain(preset), "versions": versions()}
+    record["resumed"] = [*record.get("resumed", []), again]
+    _write(out, record)
+
+
+def _write(out: Path, record: dict[str, Any]) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
         (out / RECORD).write_text(yaml.safe_dump(record, sort_keys=False), encoding="utf-8")

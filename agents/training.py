@@ -25,6 +25,7 @@ from agents.run_folder import (
     RECORD,
     check_same_run,
     data_record,
+    note_resume,
     read_run,
     refuse_existing,
     start_run,
@@ -38,7 +39,7 @@ from questsim.motion.clip import Clip
 from questsim.skeleton import DOFS
 
 INTERRUPTED = 130
-MAY_DIFFER_ON_RESUME = {"minutes", "steps", "resume", "stage", "threads", "out", "teacher"}
+MAY_DIFFER_ON_RESUME = {"minutes", "steps", "resume", "stage", "threads", "out", "teacher", "set"}
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,11 @@ def train(args: TrainArgs) -> int:
         # Not earlier: options and motions that a stage refuses leave no run behind.
         if not (args.out / RECORD).exists():
             start_run(args.out, args, preset, data)
+        elif not noted:
+            note_resume(args.out, args, preset)
+        noted.append(True)
+
+    noted: list[bool] = []
 
     torch.set_num_threads(args.threads)
     stopper = Stopper()

@@ -2,12 +2,14 @@
 
     python -m benchmarks.env_throughput [--json] [--envs 256] [--threads 2]
 
-The bare batch has the same models and substeps and starts each round from the states the VecEnv
-is in, so that both step the same contacts.
+The bare batch has the same models and substeps and makes each step from the states the VecEnv is
+in and with the same torques, so that both step the same contacts. Medians of single steps.
 """
 
 from __future__ import annotations
 
+import statistics
+import time
 from collections.abc import Callable
 
 import mujoco
@@ -15,7 +17,7 @@ import numpy as np
 from mujoco import batch as mujoco_batch
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
-from benchmarks.common import arguments, clips, median_rates, report, springs
+from benchmarks.common import arguments, clips, report, springs
 from envs import EnvConfig, QuestEnv, QuestVecEnv
 from questsim.motion.clip import Clip
 
@@ -24,56 +26,62 @@ _CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL.value)
 
 def main() -> None:
     """Measure and print."""
-    args = arguments(__doc__ or "", envs=256, threads=2, steps=40, repeats=5)
+    args = arguments(__doc__ or "", envs=256, threads=2, steps=200, subproc_steps=20)
     motions = clips()
     env = QuestVecEnv(motions, EnvConfig(), num_envs=args.envs, num_threads=args.threads)
     act = springs(env)
-    obs = env.reset()
-    bare = mujoco_batch.Batch(env.sim.batch.model, args.envs, nthread=args.threads, persistent=True)
-    bare.set_models(list(env.sim.batch.models or []))
-    action = act(obs)
-
-    def step_env() -> None:
-        nonlocal action
-        for _ in range(args.steps):
-            obs, _, _, _ = env.step(action)
-            action = act(obs)
-
-    def step_bare() -> None:
-        bare.state[:] = env.sim.batch.state
-        bare.forward(stage=_CURRENT)
-        for _ in range(args.steps):
-            bare.step(nstep=env.sim.substeps, stage=_CURRENT)
-
+    vecenv, bare = side_by_side(env, act, args.steps)
     subproc = SubprocVecEnv([single_env(motions) for _ in range(args.envs)], start_method="fork")
-    state = {"obs": subproc.reset()}
-
-    def step_subproc() -> None:
-        for _ in range(max(args.steps // 10, 1)):
-            state["obs"] = subproc.step(act(np.asarray(state["obs"])))[0]
-
-    rates = median_rates(
-        {"vecenv": step_env, "bare": step_bare, "subproc": step_subproc},
-        {
-            "vecenv": args.steps * args.envs,
-            "bare": args.steps * args.envs,
-            "subproc": max(args.steps // 10, 1) * args.envs,
-        },
-        args.repeats,
-    )
+    obs = np.asarray(subproc.reset())
+    times = []
+    for _ in range(args.subproc_steps):
+        action = act(obs)
+        began = time.perf_counter()
+        stepped = subproc.step(action)
+        times.append(time.perf_counter() - began)
+        obs = np.asarray(stepped[0])
     subproc.close()
+    one = statistics.median(times)
     report(
         {
             "envs": args.envs,
             "threads": args.threads,
-            "vecenv_steps_per_s": rates["vecenv"],
-            "bare_steps_per_s": rates["bare"],
-            "subproc_steps_per_s": rates["subproc"],
-            "ratio_to_bare": rates["vecenv"] / rates["bare"],
-            "ratio_to_subproc": rates["vecenv"] / rates["subproc"],
+            "vecenv_steps_per_s": args.envs / vecenv,
+            "bare_steps_per_s": args.envs / bare,
+            "subproc_steps_per_s": args.envs / one,
+            "ratio_to_bare": bare / vecenv,
+            "ratio_to_subproc": one / vecenv,
         },
         args.json,
     )
+
+
+def side_by_side(
+    env: QuestVecEnv, act: Callable[[np.ndarray], np.ndarray], steps: int
+) -> tuple[float, float]:
+    """Median seconds of a step of the VecEnv, and of bare physics from the same states."""
+    bare = mujoco_batch.Batch(
+        env.sim.batch.model, env.num_envs, nthread=env.sim.batch.nthread, persistent=True
+    )
+    bare.set_models(list(env.sim.batch.models or []))
+    torques = bare.bind("ctrl")
+    times: dict[str, list[float]] = {"vecenv": [], "bare": []}
+    obs = env.reset()
+    for step in range(steps + 20):
+        action = act(obs)
+        bare.state[:] = env.sim.batch.state
+        np.clip(action, -1.0, 1.0, out=torques)
+        torques *= env.sim.torque_limits
+        bare.forward(stage=_CURRENT)
+        began = time.perf_counter()
+        bare.step(nstep=env.sim.substeps, stage=_CURRENT)
+        between = time.perf_counter()
+        obs, _, _, _ = env.step(action)
+        ended = time.perf_counter()
+        if step >= 20:  # the first steps warm caches and compile
+            times["bare"].append(between - began)
+            times["vecenv"].append(ended - between)
+    return statistics.median(times["vecenv"]), statistics.median(times["bare"])
 
 
 def single_env(motions: list[Clip]) -> Callable[[], QuestEnv]:

@@ -35,6 +35,9 @@ def main() -> None:
         "n_epochs": args.epochs,
         "seed": 0,
     }
+    warm = single_env(motions)()  # what is compiled before the fork is compiled once, not 256 times
+    warm.reset()
+    warm.step(warm.action_space.sample())
     subproc = SubprocVecEnv([single_env(motions) for _ in range(args.envs)], start_method="fork")
     reference = PPO(
         "MlpPolicy",
