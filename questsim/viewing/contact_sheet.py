@@ -40,7 +40,7 @@ def contact_sheet(clip: Clip, path: str | Path, columns: int = 8, rows: int = 2)
         Whether the pictures are rendered; False for stick figures.
 
     Raises:
-        OSError: the folder cannot be written.
+        InputError, OSError: the folder cannot be made or written.
     """
     rows = max(1, min(rows, len(clip) // columns))
     frames = np.linspace(0, len(clip) - 1, min(columns * rows, len(clip))).round().astype(int)

@@ -210,7 +210,7 @@ def rollout_video(
 
     Raises:
         NoGLError: there is no OpenGL library to render with.
-        OSError: the folder cannot be written.
+        InputError, OSError: the folder cannot be made or written.
     """
     chosen = one_of_each_kind(rollouts, max_clips)
     size = 2 * columns
