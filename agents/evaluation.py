@@ -17,7 +17,7 @@ from agents.rolling import choose_clips, evaluation_sim, follow
 from agents.run_folder import data_record, versions
 from envs.config import EnvConfig
 from envs.core import BatchSim
-from questsim.errors import InputError
+from questsim.errors import InputError, at_least
 from questsim.evaluation_report import check_writable, format_table, write_report
 from questsim.metrics import Rollout
 from questsim.metrics import evaluate as score
@@ -60,6 +60,8 @@ def evaluate(args: EvaluateArgs) -> int:
     """
     from questsim.motion.spec import load_motions
 
+    at_least(1, threads=args.threads, max_clips=args.max_clips)
+    at_least(0, seed=args.seed)
     if args.video and args.out is None:
         raise InputError("a video needs a folder", "--video", "add --out DIR")
     if args.out is not None:

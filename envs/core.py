@@ -69,7 +69,9 @@ class BatchSim:
         num_threads: int = 1,
     ) -> None:
         self.config = config or EnvConfig()
-        self.num_envs = n = num_envs or len(clips)
+        self.num_envs = n = len(clips) if num_envs is None else num_envs
+        if min(n, num_threads) < 1 and clips:
+            raise InputError(f"{n} environments on {num_threads} threads", "BatchSim")
         if self.config.fixed_start and n > len(clips):
             raise InputError(f"{n} environments for {len(clips)} clips", "fixed_start")
         self.reference = Reference.of(clips, self.config, seed)

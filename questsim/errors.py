@@ -20,3 +20,18 @@ class InputError(ValueError):
         self.what, self.where, self.fix = what, where, fix
         message = f"{where}: {what}" if where is not None else what
         super().__init__(f"{message}; {fix}" if fix else message)
+
+
+def at_least(least: float, **options: float | None) -> None:
+    """Refuse options of a command that are too small.
+
+    Args:
+        least: what is allowed.
+        **options: values by name; None is not looked at.
+
+    Raises:
+        InputError: naming the first option that is smaller.
+    """
+    for name, value in options.items():
+        if value is not None and value < least:
+            raise InputError(f"is {value:g}, not at least {least:g}", f"--{name.replace('_', '-')}")

@@ -304,6 +304,14 @@ def test_clips_that_fail_come_more_often_and_none_is_forgotten() -> None:
     assert (first < lengths[drawn] - 1).all()
 
 
+@pytest.mark.parametrize("options", [{"num_envs": 0}, {"num_envs": -3}, {"num_threads": 0}])
+def test_no_environments_and_no_threads_are_refused(options: dict) -> None:
+    with pytest.raises(InputError, match="environments on"):
+        BatchSim(CLIPS, **options)
+    with pytest.raises(InputError, match="no clips"):
+        BatchSim([])
+
+
 def test_a_motion_shorter_than_the_future_window_is_refused_by_name() -> None:
     with pytest.raises(InputError, match=r"short.*6 frames"):
         BatchSim([swaying_clip("short", frames=6)], EnvConfig())

@@ -172,6 +172,12 @@ def test_video_without_folder_and_unknown_agents_are_refused(library, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("options", [{"threads": 0}, {"max_clips": 0}, {"seed": -1}])
+def test_numbers_that_are_too_small_are_refused_by_option(options, library):
+    with pytest.raises(InputError, match=f"--{next(iter(options)).replace('_', '-')}: is"):
+        evaluate(EvaluateArgs("zero", str(library), **options))
+
+
 def test_baselines_go_by_name():
     assert load_agent("zero").name == "zero"
     assert load_agent("random").name == "random"

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import tyro
 
-from questsim.errors import InputError
+from questsim.errors import InputError, at_least
 from questsim.motion.clip import FPS, Clip
 from questsim.viewing.films import clip_frames, rollout_video
 from questsim.viewing.gl import find_gl, missing_gl
@@ -52,9 +52,8 @@ def show_clip(args: ShowArgs) -> None:
     """
     from questsim.viewing.contact_sheet import contact_sheet
 
-    for name, least in (("columns", 1), ("stride", 1), ("width", 64), ("height", 64)):
-        if getattr(args, name) < least:
-            raise InputError(f"is {getattr(args, name)}, not at least {least}", f"--{name}")
+    at_least(1, columns=args.columns, stride=args.stride)
+    at_least(64, width=args.width, height=args.height)
     clips = find_clips(args.clip, args.motions)
     for clip in clips:
         base = args.out / file_name(clip.name)
