@@ -1,3 +1,5 @@
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +45,26 @@ def test_the_second_call_reads_the_cache_and_agrees_to_the_bit(folder, monkeypat
     for a, b in zip(first, second, strict=True):
         np.testing.assert_array_equal(a.qpos, b.qpos)
         np.testing.assert_array_equal(a.link_velocity, b.link_velocity)
+
+
+def test_processes_that_begin_together_import_once(folder, monkeypatch):
+    began, read_many = threading.Event(), spec.read_many
+    calls: list[int] = []
+
+    def slowly(*args, **options):
+        calls.append(1)
+        began.set()
+        time.sleep(0.3)
+        return read_many(*args, **options)
+
+    monkeypatch.setattr(spec, "read_many", slowly)
+    # A lock of a file is between open files: threads stand for processes.
+    first = threading.Thread(target=load_motions, args=(str(folder),))
+    first.start()
+    began.wait(10)
+    assert len(load_motions(str(folder))) == 3
+    first.join()
+    assert len(calls) == 1
 
 
 def test_a_changed_file_is_read_again(folder):

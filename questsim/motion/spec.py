@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
@@ -11,6 +12,8 @@ from functools import lru_cache, partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TypeVar
+
+from filelock import FileLock
 
 from questsim import rotations, skeleton
 from questsim.assets import mjcf_path
@@ -190,18 +193,27 @@ def _cached(
     digest = hashlib.sha256("\n".join([*key, repr(options), _code_digest()]).encode())
     path = datasets.cache_dir() / "clips" / f"{digest.hexdigest()[:32]}.npz"
     if not path.is_file():
-        done = list(read_many(files(), options))
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(
-                f"cache cannot be written ({error.strerror})",
-                path.parent,
-                "set QUESTSIM_CACHE to a folder of yours",
-            ) from None
-        save_library(path, [r.motion for r in done], [r.clip for r in done])
+        with _alone(path):
+            if not path.is_file():  # another process may have been at it
+                done = list(read_many(files(), options))
+                save_library(path, [r.motion for r in done], [r.clip for r in done])
     # Also the first time through the file, so that the first and later calls agree to the bit.
     return load_library(path, motions=not clips, clips=clips, names=names)
+
+
+def _alone(path: Path) -> FileLock:
+    """The lock under which ``path`` is made, so that trainings begun together make it once."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
+    except OSError as error:
+        raise InputError(
+            f"cache cannot be written ({error.strerror})",
+            path.parent,
+            "set QUESTSIM_CACHE to a folder of yours",
+        ) from None
+    return FileLock(path.with_suffix(".lock"))
 
 
 @lru_cache
