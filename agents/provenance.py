@@ -85,6 +85,9 @@ def stages_behind(folder: Path) -> list[StagePart]:
         teacher = read_run(run)["args"].get("teacher")
         where = Path(teacher) if teacher and before == "teacher" else run / before
         earlier = stages_behind(find_policy(where))
+    start = read_run(run)["args"].get("start")
+    if stage == "teacher" and start:
+        earlier = stages_behind(find_policy(Path(start)))
     last = run / stage / "last"
     end = _training(last) if (last / CARD_FILE).exists() else training
     return [*earlier, StagePart(run, training, end["steps"], end["minutes"])]

@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 
 from questsim.errors import InputError
+from questsim.files import whole_file
 from questsim.motion.clip import Clip
 
 FORMAT, FORMAT_VERSION = "questsim-run", 1
@@ -88,10 +89,11 @@ def note_resume(out: Path, args: Any, preset: Any) -> None:
 def _write(out: Path, record: dict[str, Any]) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
-        (out / RECORD).write_text(yaml.safe_dump(record, sort_keys=False), encoding="utf-8")
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(f"cannot be written ({reason})", out, "choose another --out") from error
+    with whole_file(out / RECORD) as path:
+        path.write_text(yaml.safe_dump(record, sort_keys=False), encoding="utf-8")
 
 
 def refuse_existing(out: Path) -> None:

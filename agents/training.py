@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from agents.agent import Needs, PolicyAgent, new_policy
-from agents.checkpoint import CARD_FILE, find_policy, load_policy
+from agents.checkpoint import CARD_FILE, find_policy, load_policy, load_resume
 from agents.dagger import Dagger, DaggerConfig
 from agents.learner import Learner
 from agents.monitor import Display
@@ -34,7 +34,7 @@ from agents.spec import Layout, initial_gains, noise_by_joint
 from agents.stage import Budget, Stage, Stopper
 from envs import QuestVecEnv
 from envs.config import EnvConfig
-from questsim.errors import InputError
+from questsim.errors import InputError, at_least
 from questsim.motion.clip import Clip
 from questsim.skeleton import DOFS
 
@@ -62,6 +62,8 @@ class TrainArgs:
     """Go on with the run in --out."""
     teacher: Path | None = None
     """A trained teacher for the student stage, by default the run's own."""
+    start: Path | None = None
+    """A teacher (its stage folder) whose weights the teacher begins with."""
     sensors: str = "H+2C"
     """What the policy sees of the user."""
     future_frames: int = 6
@@ -88,6 +90,8 @@ def train(args: TrainArgs) -> int:
     Raises:
         InputError: for options, motions or a run folder that cannot be used.
     """
+    at_least(1, threads=args.threads, envs=args.envs, steps=args.steps)
+    at_least(0, minutes=args.minutes, seed=args.seed)
     preset = with_overrides(PRESETS[args.preset], args.set)
     names = _stage_names(args, preset)
     if args.resume:
@@ -156,7 +160,9 @@ def _run_stage(
     # Each stage has its own stream of random numbers, whether it runs alone or after another.
     seed = args.seed + 1000 * list(preset.stages).index(name)
     torch.manual_seed(seed)
-    env = QuestVecEnv(learnt, env_config, args.envs or preset.num_envs, seed, args.threads)
+    env = QuestVecEnv(
+        learnt, env_config, preset.num_envs if args.envs is None else args.envs, seed, args.threads
+    )
     sim = evaluation_sim(
         validation,
         replace(env_config, fixed_start=True, max_error_m=EnvConfig().max_error_m),
@@ -262,6 +268,8 @@ def _learner(
     if isinstance(config.learning, DaggerConfig):
         return _student(args, config, config.learning, env, seed)
     learner = make_ppo(config, config.learning, env, seed)
+    if name == "teacher" and args.start is not None:
+        _begin_with(learner.policy, args.start)
     if name == "finetune":
         start = load_policy(find_policy(args.out / "student"))
         start.bind(env)
@@ -318,6 +326,19 @@ def _student(
         student.head.load_state_dict(teacher.policy.head.state_dict())
     student.log_std.data.copy_(teacher.policy.log_std.data)
     return Dagger(env, teacher, student, learning, seed)
+
+
+def _begin_with(policy: TorquePolicy, stage: Path) -> None:
+    """Take the networks, critic included, and normalisers of another run's last checkpoint.
+
+    Raises:
+        InputError: there is none, or its networks differ.
+    """
+    state = load_resume(stage / "last")
+    try:
+        policy.load_state_dict(state["learner"]["policy"])
+    except (KeyError, RuntimeError) as error:
+        raise InputError("its networks do not fit this preset's", stage, "see --start") from error
 
 
 def copy_actor(source: TorquePolicy, target: TorquePolicy) -> None:

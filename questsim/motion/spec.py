@@ -43,9 +43,9 @@ def load_motions(
     Files are read and retargeted once; the result is kept in the cache.
 
     Args:
-        spec: ``synthetic``, a dataset (``bandai-namco-2``, ``bandai-namco-2:train``,
-            ``bandai-namco-2:test``), a library, a BVH or AMASS file, a folder of these, or
-            several, joined by commas or as a sequence.
+        spec: ``synthetic`` (or some of its kinds, ``synthetic:walk+wave``), a dataset
+            (``bandai-namco-2``, ``bandai-namco-2:train``, ``bandai-namco-2:test``), a library, a
+            BVH or AMASS file, a folder of these, or several, joined by commas or as a sequence.
         height_m: scale all clips to this stature; by default each keeps its performer's.
         mirrored: add a mirrored copy of each clip after the clip itself.
         seed: of the synthetic motions.
@@ -58,7 +58,7 @@ def load_motions(
 
     clips: list[Clip] = []
     for part in _parts(spec):
-        clips += _synthetic(seed) if part == SYNTHETIC else _load(part, clips=True).clips
+        clips += _synthetic(part, seed) if _is_synthetic(part) else _load(part, clips=True).clips
     clips = _with_unique_names(clips)
     if height_m is not None:
         clips = [clip.scaled(height_m) for clip in clips]
@@ -84,8 +84,8 @@ def load_recordings(
 
     motions: list[Motion] = []
     for part in _parts(spec):
-        if part == SYNTHETIC:
-            motions += [to_motion(clip) for clip in _synthetic(seed)]
+        if _is_synthetic(part):
+            motions += [to_motion(clip) for clip in _synthetic(part, seed)]
         else:
             motions += _load(part, clips=False).motions
     motions = _with_unique_names(motions)
@@ -230,10 +230,23 @@ def _code_digest() -> str:
     return digest.hexdigest()
 
 
-def _synthetic(seed: int) -> list[Clip]:
-    from questsim.motion.synthetic import synthetic_clips
+def _is_synthetic(part: str) -> bool:
+    return part.partition(":")[0] == SYNTHETIC
 
-    return synthetic_clips(seed)
+
+def _synthetic(part: str, seed: int) -> list[Clip]:
+    """``synthetic``, or of it only the kinds in ``synthetic:KIND+KIND``."""
+    from questsim.motion.synthetic import KINDS, synthetic_clips
+
+    clips = synthetic_clips(seed)
+    _, colon, kinds = part.partition(":")
+    if not colon:
+        return clips
+    wanted = kinds.split("+")
+    for kind in wanted:
+        if kind not in KINDS:
+            raise InputError(f"there is no kind {kind!r}", part, f"choose from {', '.join(KINDS)}")
+    return [clip for clip in clips if clip.kind in wanted]
 
 
 def _with_unique_names(items: list[_T]) -> list[_T]:
