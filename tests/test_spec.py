@@ -108,9 +108,16 @@ def test_synthetic_motion_needs_no_files():
     assert len(clips) > 5
 
 
+def test_synthetic_motion_of_some_kinds_is_a_part_of_all():
+    some, whole = load_motions("synthetic:walk+wave"), load_motions("synthetic")
+    assert {clip.kind for clip in some} == {"walk", "wave"}
+    assert [c.name for c in some] == [c.name for c in whole if c.kind in ("walk", "wave")]
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
+        ("synthetic:walk+fly", "synthetic:walk\\+fly: there is no kind 'fly'.*walk"),
         ("nowhere", "no motions 'nowhere'.*synthetic, bandai-namco-2"),
         (" , ", "no motions named"),
         ("bandai-namco-2", "has not been fetched.*questsim motions fetch bandai-namco-2"),

@@ -20,6 +20,7 @@ from agents.checkpoint import load_resume
 from agents.learner import TrainingError
 from agents.monitor import Display, evaluation_figures
 from agents.presets import PRESETS, PPOConfig
+from agents.provenance import stages_behind
 from agents.rolling import Followed, choose_clips
 from agents.spec import SPARSE_BLOCKS, PolicySpec
 from agents.stage import Budget, Stage, Stopper
@@ -217,6 +218,43 @@ def test_interrupted_training_ends_with_the_bits_of_one_that_was_not(clips, tmp_
     for name, tensor in whole["learner"]["policy"].items():
         assert torch.equal(tensor, parts["learner"]["policy"][name]), name
     assert torch.equal(whole["env"]["physics"], parts["env"]["physics"])
+
+
+def test_a_teacher_begins_with_another_teachers_weights_and_says_so(clips, tmp_path):
+    train(tiny(tmp_path / "a", stage="teacher", seed=5))
+    learnt = load_resume(tmp_path / "a" / "teacher" / "last")["learner"]["policy"]
+    begun = tiny(tmp_path / "b", stage="teacher", start=tmp_path / "a" / "teacher", steps=64)
+    train(begun)
+    weights = load_resume(tmp_path / "b" / "teacher" / "last")["learner"]["policy"]
+    for name, tensor in learnt.items():
+        if "layers" in name:  # one update away from them, and far from the other seed's
+            assert (tensor - weights[name]).abs().max() < 0.02, name
+    parts = stages_behind(tmp_path / "b" / "teacher" / "best")
+    assert [part.run.name for part in parts] == ["a", "b"]
+    with pytest.raises(InputError, match="nothing to resume"):
+        train(replace(begun, out=tmp_path / "c", start=tmp_path / "none"))
+    wider = "stages.teacher.policy.hidden=[64]"
+    with pytest.raises(InputError, match="networks do not fit"):
+        train(replace(begun, out=tmp_path / "d", set=(wider,)))
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("threads", 0), ("envs", 0), ("steps", -5), ("minutes", -1.0), ("seed", -1)],
+)
+def test_numbers_that_are_too_small_are_refused_by_the_option(option, value, tmp_path):
+    with pytest.raises(InputError, match=f"--{option}"):
+        train(tiny(tmp_path / "run", **{option: value}))
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_resume_is_noted_with_its_options(clips, tmp_path):
+    train(tiny(tmp_path / "run", stage="teacher"))
+    changed = "stages.teacher.learning.desired_kl=0.01"
+    train(tiny(tmp_path / "run", stage="teacher", steps=512, resume=True, set=(changed,)))
+    (again,) = yaml.safe_load((tmp_path / "run" / "run.yaml").read_text())["resumed"]
+    assert again["args"]["steps"] == 512
+    assert again["preset"]["stages"]["teacher"]["learning"]["desired_kl"] == 0.01
 
 
 def test_student_of_another_sensor_set_has_the_same_teacher(clips, tmp_path):
