@@ -39,7 +39,17 @@ from questsim.motion.clip import Clip
 from questsim.skeleton import DOFS
 
 INTERRUPTED = 130
-MAY_DIFFER_ON_RESUME = {"minutes", "steps", "resume", "stage", "threads", "out", "teacher", "set"}
+MAY_DIFFER_ON_RESUME = {
+    "minutes",
+    "steps",
+    "resume",
+    "stage",
+    "threads",
+    "out",
+    "teacher",
+    "set",
+    "start",
+}
 
 
 @dataclass(frozen=True)
