@@ -30,8 +30,10 @@ $(INSTALLED): pyproject.toml constraints.txt
 	$(PY) -m pip install --quiet $(PIP_FLAGS) -c constraints.txt -e ".[dev]"
 	@touch $@
 
-demo: $(INSTALLED)  ## evaluate the shipped policy on the embedded motions; writes demo/
-	$(PY) evaluate.py --agent demo --motions synthetic --out demo --video
+DEMO_MOTIONS ?= synthetic:walk+stand+wave+raise-right-hand+raise-both-hands
+
+demo: $(INSTALLED)  ## evaluate the shipped policy on embedded motions; writes demo/
+	$(PY) evaluate.py --agent demo --motions $(DEMO_MOTIONS) --out demo --video
 
 test: $(INSTALLED)  ## everything CI runs: format, lint, types, tests
 	$(PY) -m ruff format --check .

@@ -197,7 +197,7 @@ def rollout_video(
     Args:
         rollouts: what evaluation produced.
         path: the MP4.
-        max_clips: how many are filmed: the first of each kind, then the second of each ...
+        max_clips: how many are filmed: the middle one of each kind, then others of each ...
         width: of the video in pixels.
         height: of the video in pixels.
         columns: pictures side by side; two rows make a page.
@@ -224,10 +224,19 @@ def rollout_video(
 
 
 def one_of_each_kind(rollouts: Sequence[Rollout], count: int) -> list[Rollout]:
-    """``count`` rollouts: the first of each kind, then the second of each, and so on."""
+    """``count`` rollouts: the middle one of each kind, then the one after it, and so on around.
+
+    Libraries often begin and end a kind with its extremes; how well a clip went plays no part.
+    """
     by_kind: dict[str, list[Rollout]] = {}
     for rollout in rollouts:
         by_kind.setdefault(rollout.kind, []).append(rollout)
+    by_kind = {kind: _from_the_middle(group) for kind, group in by_kind.items()}
     longest = max(map(len, by_kind.values()), default=0)
     turns = [group[i] for i in range(longest) for group in by_kind.values() if i < len(group)]
     return turns[:count]
+
+
+def _from_the_middle(group: list[Rollout]) -> list[Rollout]:
+    middle = len(group) // 2
+    return group[middle:] + group[:middle]
