@@ -79,7 +79,7 @@ def test_wheel_contains_every_file_of_its_packages_and_no_other(wheel):
 def test_wheel_declares_licence_and_command(wheel):
     archive = zipfile.ZipFile(wheel)
     info = next(n.partition("/")[0] for n in archive.namelist() if ".dist-info/" in n)
-    assert b"License-Expression: MIT" in archive.read(f"{info}/METADATA")
+    assert b"License-Expression: MIT AND CC-BY-NC-4.0" in archive.read(f"{info}/METADATA")
     assert b"questsim = questsim.cli:main" in archive.read(f"{info}/entry_points.txt")
 
 
