@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
@@ -11,10 +10,9 @@ from torch import Tensor
 
 
 @dataclass(frozen=True)
-class Minibatch:
-    """Rows of a rollout: observations ``(b, D)``, actions and means ``(b, A)``, others ``(b,)``."""
+class Targets:
+    """Rows of a rollout: actions and means ``(R, A)``, others ``(R,)``."""
 
-    observations: Tensor
     actions: Tensor
     means: Tensor
     log_probs: Tensor
@@ -77,19 +75,28 @@ class TensorRolloutBuffer:
         """All observations ``(T * N, D)``."""
         return self.observations.flatten(0, 1)
 
-    def minibatches(self, size: int, generator: torch.Generator) -> Iterator[Minibatch]:
-        """All rows once, in random order, ``size`` at a time; advantages are normalised."""
+    def learning_targets(self) -> Targets:
+        """What an update learns from; advantages are normalised over the rollout."""
         advantages = self.advantages.flatten()
-        returns = advantages + self.values.flatten()
-        advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
-        columns = (
-            self.flat_observations(),
-            self.actions.flatten(0, 1),
-            self.means.flatten(0, 1),
-            self.log_probs.flatten(),
-            advantages,
-            returns,
+        return Targets(
+            actions=self.actions.flatten(0, 1),
+            means=self.means.flatten(0, 1),
+            log_probs=self.log_probs.flatten(),
+            advantages=(advantages - advantages.mean()) / (advantages.std() + 1e-8),
+            returns=advantages + self.values.flatten(),
         )
-        order = torch.randperm(len(returns), generator=generator)
-        for rows in order.split(size):
-            yield Minibatch(*(column.index_select(0, rows) for column in columns))
+
+    def orders(self, size: int, epochs: int, generator: torch.Generator) -> list[Tensor]:
+        """Row indices of every minibatch of an update: all rows once an epoch, in random order.
+
+        Args:
+            size: rows of a minibatch; the last one of an epoch may have fewer.
+            epochs: passes over the rollout.
+            generator: of the orders.
+        """
+        rows = self.rewards.numel()
+        return [
+            part
+            for _ in range(epochs)
+            for part in torch.randperm(rows, generator=generator).split(size)
+        ]

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from stable_baselines3.common.vec_env import VecEnv
-from torch import Tensor
+from torch import Tensor, nn
 
 from agents.agent import PolicyAgent
 from agents.learner import StepObserver, TrainingError
 from agents.policy import TorquePolicy
+from agents.workers import Workers
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,7 @@ class Dagger:
         student: reads only the first columns of the observation.
         config: see there.
         seed: of mixing, noise and minibatches.
+        threads: that work side by side; the result does not depend on it.
     """
 
     def __init__(
@@ -91,6 +94,7 @@ class Dagger:
         student: TorquePolicy,
         config: DaggerConfig,
         seed: int,
+        threads: int = 1,
     ) -> None:
         self.env, self.teacher, self.policy, self.config = env, teacher.policy, student, config
         # Labels stay exact; only the student's own matrix products are coarse while it learns.
@@ -101,6 +105,7 @@ class Dagger:
         self.memory = Memory(config.capacity, self.inputs, student.log_std.numel())
         self.noise = self.teacher.log_std.detach().exp()
         self._obs: np.ndarray | None = None
+        self._workers = Workers(threads)
 
     def iterate(self, observe: StepObserver, progress: float) -> dict[str, float]:
         """One rollout and the updates after it.
@@ -130,12 +135,12 @@ class Dagger:
         by_teacher = torch.rand(n, 1, generator=self.generator) < self.beta
         for _ in range(self.config.rollout_steps):
             obs = torch.from_numpy(self._obs)
-            with torch.inference_mode():
-                label = self.teacher.action_mean(obs).clamp_(-1.0, 1.0)
-                own = self.policy.action_mean(obs)
-                noise = torch.randn(label.shape, generator=self.generator) * self.noise
-                action = torch.where(by_teacher, label, own) + self.config.exploration * noise
-                self.memory.add(obs[:, : self.inputs], label)
+            label, own = self._workers.run(
+                partial(_mean, self.teacher, obs), partial(_mean, self.policy, obs)
+            )
+            noise = torch.randn(label.shape, generator=self.generator) * self.noise
+            action = torch.where(by_teacher, label, own) + self.config.exploration * noise
+            self.memory.add(obs[:, : self.inputs], label)
             self._obs, rewards, dones, infos = self.env.step(action.clamp(-1.0, 1.0).numpy())  # type: ignore[assignment]
             self.num_timesteps += n
             observe(rewards, dones, infos)
@@ -147,21 +152,34 @@ class Dagger:
             newest = self.config.rollout_steps * self.env.num_envs
             end = self.memory._next or len(self.memory.labels)
             policy.update_norm(self.memory.observations[max(0, end - newest) : end])
-        total = 0.0
+        total, parameters = 0.0, [p for p in policy.actor_parameters() if p is not policy.log_std]
         for group in optimizer.param_groups:
             group["lr"] = rate
         for _ in range(self.config.updates):
-            observations, labels = self.memory.sample(self.config.minibatch, self.generator)
-            error = (policy.action_mean(observations) - labels) / self.noise
-            loss = error.square().mean()
+            sample = self.memory.sample(self.config.minibatch, self.generator)
+            halves = zip(*(part.chunk(2) for part in sample), strict=True)
+            (loss, gradients), *others = self._workers.run(
+                *(partial(self._gradients, *half, parameters) for half in halves)
+            )
+            for other_loss, other_gradients in others:
+                loss = loss + other_loss
+                gradients = [a + b for a, b in zip(gradients, other_gradients, strict=True)]
             if not bool(torch.isfinite(loss)):
                 raise TrainingError("the loss is not finite", self.num_timesteps)
-            optimizer.zero_grad(set_to_none=True)
-            loss.backward()
+            for parameter, gradient in zip(parameters, gradients, strict=True):
+                parameter.grad = gradient
             torch.nn.utils.clip_grad_norm_(policy.actor_parameters(), 1.0)
             optimizer.step()
             total += loss.item()
         return {"train/imitation_loss": total / self.config.updates}
+
+    def _gradients(
+        self, observations: Tensor, labels: Tensor, parameters: list[nn.Parameter]
+    ) -> tuple[Tensor, list[Tensor]]:
+        """Loss of a part of a minibatch, as its share of the whole, and its gradients."""
+        error = (self.policy.action_mean(observations) - labels) / self.noise
+        loss = error.square().sum() / (self.config.minibatch * labels.shape[1])
+        return loss.detach(), list(torch.autograd.grad(loss, parameters))
 
     def state_dict(self) -> dict[str, Any]:
         """What going on needs; the memory of visited states is not kept, it fills up again."""
@@ -178,3 +196,9 @@ class Dagger:
         self.policy.load_state_dict(state["policy"])
         self.policy.optimizer.load_state_dict(state["optimizer"])
         self.generator.set_state(state["generator"])
+
+
+def _mean(policy: TorquePolicy, obs: Tensor) -> Tensor:
+    """Mean actions ``(n, 33)``, clipped as the environment would."""
+    with torch.no_grad():
+        return policy.action_mean(obs).clamp_(-1.0, 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -83,13 +84,28 @@ class Network(nn.Module):
         With ``low_precision`` set, while training, matrix products are in bfloat16, at twice
         the speed. A rollout and its update then agree, since both go through here.
         """
+        return self.of_inputs(self.inputs(obs))
+
+    def inputs(self, obs: Tensor) -> Tensor:
+        """What the layers read of observations ``(n, D)``: normalised columns.
+
+        An update makes them once of a whole rollout, during which the normaliser stands still.
+        """
         inputs = self.norm(obs.index_select(1, self.columns))
+        return inputs.bfloat16() if self.low_precision else inputs
+
+    def of_inputs(self, inputs: Tensor) -> Tensor:
+        """Outputs ``(n, outputs)`` for what ``inputs`` gave."""
         with torch.autocast("cpu", torch.bfloat16, enabled=self.low_precision):
             return self.layers(inputs).float()
 
     def update_norm(self, obs: Tensor) -> None:
         """Merge observations ``(n, D)`` into the normaliser."""
         self.norm.update(obs.index_select(1, self.columns))
+
+
+def _adam(parameters: Iterable[nn.Parameter], rate: float) -> torch.optim.Adam:
+    return torch.optim.Adam(parameters, lr=rate, eps=1e-5, fused=True)
 
 
 def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:
@@ -123,11 +139,15 @@ class TorqueHead(nn.Module):
         if self.reference:
             self.reference_columns = torch.as_tensor(layout.columns((REFERENCE_BLOCK,)))
 
-    def forward(self, obs: Tensor) -> Tensor:
-        """Proportional part of the action ``(n, 33)`` for observations ``(n, D)``."""
+    def error(self, obs: Tensor) -> Tensor:
+        """What the gains multiply: q_ref - q in radians ``(n, 33)`` of observations ``(n, D)``."""
         error = -obs.index_select(1, self.joint_columns)
         if self.reference_columns is not None:
             error = error + obs.index_select(1, self.reference_columns)
+        return error
+
+    def forward(self, error: Tensor) -> Tensor:
+        """Proportional part of the action ``(n, 33)`` for joint errors ``(n, 33)``."""
         return self.log_gain.exp() * error
 
 
@@ -198,14 +218,14 @@ class TorquePolicy(ActorCriticPolicy):
             torch.as_tensor(np.log(noise), dtype=torch.float32),
             requires_grad=settings["learn_noise"],
         )
-        critic = list(self.critic.parameters()) if self.critic is not None else []
-        own_rate = settings["critic_learning_rate"]
         rate = float(lr_schedule(1))
-        groups = [
-            {"params": self.actor_parameters(), "lr": rate},
-            {"params": critic, "lr": own_rate or rate},
-        ]
-        self.optimizer = torch.optim.Adam(groups[: 2 if critic else 1], eps=1e-5, fused=True)
+        # Two optimisers, since actor and critic learn side by side.
+        self.optimizer = _adam(self.actor_parameters(), rate)
+        self.critic_optimizer = (
+            _adam(self.critic.parameters(), settings["critic_learning_rate"] or rate)
+            if self.critic is not None
+            else None
+        )
 
     def actor_parameters(self) -> list[nn.Parameter]:
         """What the policy gradient trains."""
@@ -214,8 +234,17 @@ class TorquePolicy(ActorCriticPolicy):
 
     def action_mean(self, obs: Tensor) -> Tensor:
         """Mean action ``(n, 33)``, not clipped, for observations ``(n, D)``."""
-        mean = self.actor(obs)
-        return mean if self.head is None else mean + self.head(obs)
+        return self.action_mean_of(*self.action_inputs(obs))
+
+    def action_inputs(self, obs: Tensor) -> tuple[Tensor, Tensor]:
+        """What the mean action depends on: the actor's inputs and the head's joint errors."""
+        error = self.head.error(obs) if self.head is not None else obs[:, :0]
+        return self.actor.inputs(obs), error
+
+    def action_mean_of(self, inputs: Tensor, error: Tensor) -> Tensor:
+        """Mean action ``(n, 33)`` for rows of what ``action_inputs`` gave."""
+        mean = self.actor.of_inputs(inputs)
+        return mean if self.head is None else mean + self.head(error)
 
     def predict_values(self, obs: Tensor) -> Tensor:  # type: ignore[override]
         """Value ``(n, 1)`` of observations ``(n, D)``; zeros for a policy without critic."""

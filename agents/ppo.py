@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,10 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor
 
-from agents.buffers import Minibatch, TensorRolloutBuffer
+from agents.buffers import Targets, TensorRolloutBuffer
 from agents.learner import StepObserver, TrainingError
 from agents.policy import TorquePolicy
+from agents.workers import Workers
 
 LEARNING_RATE_RANGE = (1e-5, 3e-3)
 
@@ -31,8 +33,10 @@ class AdaptivePPO(PPO):
         policy: ``TorquePolicy``, and its ``policy_kwargs``.
         env: a stable-baselines3 VecEnv.
         desired_kl: the KL divergence an update should come to; None keeps the learning rate.
+        final_kl: what it falls to over the budget, geometrically; None keeps it.
         reward_scale: factor on rewards; ``1 - gamma`` brings values into the rewards' range.
         bfloat16: whether matrix products while training are of that precision.
+        threads: that work side by side; the result does not depend on it.
         **options: those of stable-baselines3's PPO.
     """
 
@@ -45,11 +49,14 @@ class AdaptivePPO(PPO):
         env: VecEnv,
         *,
         desired_kl: float | None = None,
+        final_kl: float | None = None,
         reward_scale: float = 1.0,
         bfloat16: bool = False,
+        threads: int = 1,
         **options: Any,
     ) -> None:
         self.desired_kl, self.reward_scale = desired_kl, reward_scale
+        self._kl_range = desired_kl, final_kl
         self.actor_frozen = False
         super().__init__(
             policy,
@@ -62,6 +69,7 @@ class AdaptivePPO(PPO):
         self.actor_rate = float(self.lr_schedule(1))
         self._observer: _Observer | None = None
         self.generator = torch.Generator().manual_seed(self.seed or 0)
+        self._workers = Workers(threads)
 
     def collect_rollouts(  # type: ignore[override]
         self,
@@ -80,9 +88,8 @@ class AdaptivePPO(PPO):
         for t in range(n_rollout_steps):
             obs = buffer.observations[t]
             obs.copy_(torch.from_numpy(self._last_obs))
-            with torch.inference_mode():
-                mean = policy.action_mean(obs)
-                action = mean + noise * torch.randn(mean.shape, generator=self.generator)
+            mean = self._workers.by_halves(policy.action_mean, obs)
+            action = mean + noise * torch.randn(mean.shape, generator=self.generator)
             buffer.means[t], buffer.actions[t] = mean, action
             new_obs, rewards, dones, infos = env.step(action.clamp(-1.0, 1.0).numpy())
             buffer.rewards[t] = torch.from_numpy(rewards)
@@ -115,7 +122,8 @@ class AdaptivePPO(PPO):
         policy, buffer = self.policy, self.rollout_buffer
         buffer.rewards *= self.reward_scale
         shape = buffer.values.shape
-        buffer.values[:] = policy.predict_values(buffer.flat_observations()).view(shape)
+        values = self._workers.by_halves(policy.predict_values, buffer.flat_observations())
+        buffer.values[:] = values.view(shape)
         log_probs = policy.log_prob(buffer.means.flatten(0, 1), buffer.actions.flatten(0, 1))
         buffer.log_probs[:] = log_probs.view(shape)
         if truncated:
@@ -134,71 +142,92 @@ class AdaptivePPO(PPO):
         self.policy.update_norm(self.rollout_buffer.flat_observations())
 
     def _optimise(self) -> None:
+        """Let actor and critic learn from the rollout, each in a thread of its own.
+
+        They share nothing but what they read, so on two cores an update takes half the time; each
+        works single-threaded, and the result is the same bits at any number of threads.
+        """
         policy, record = self.policy, self.logger.record
         policy.set_training_mode(True)
-        groups = policy.optimizer.param_groups
-        groups[0]["lr"] = 0.0 if self.actor_frozen else self.actor_rate
-        if policy.settings["critic_learning_rate"] is None:
-            groups[1]["lr"] = self.actor_rate
-        old_log_std = policy.log_std.detach().clone()
-        sums, count = torch.zeros(4), 0
-        last_epoch = torch.zeros(4)
-        for epoch in range(self.n_epochs):
-            for batch in self.rollout_buffer.minibatches(self.batch_size, self.generator):
-                figures = self._step(batch, old_log_std)
-                sums += figures
-                count += 1
-                if epoch == self.n_epochs - 1:
-                    last_epoch += figures / (
-                        len(self.rollout_buffer.rewards.flatten()) / len(batch.returns)
-                    )
+        targets = self.rollout_buffer.learning_targets()
+        orders = self.rollout_buffer.orders(self.batch_size, self.n_epochs, self.generator)
+        value_loss, figures = self._workers.run(
+            partial(self._learn_values, targets, orders),
+            partial(self._learn_actions, targets, orders),
+        )
         self._n_updates += self.n_epochs
-        kl = last_epoch[2].item()
-        self._adapt_rate(kl)
-        record("train/policy_loss", sums[0].item() / count)
-        record("train/value_loss", sums[1].item() / count)
-        record("train/kl", kl)
-        record("train/clip_fraction", sums[3].item() / count)
+        self._adapt_rate(figures[1])
+        for name, figure in zip(("policy_loss", "kl", "clip_fraction"), figures, strict=True):
+            record(f"train/{name}", figure)
+        record("train/value_loss", value_loss[0])
         record("train/learning_rate", self.actor_rate)
         record("train/noise", policy.log_std.detach().exp().mean().item())
 
-    def _step(self, batch: Minibatch, old_log_std: Tensor) -> Tensor:
-        """One gradient step.
+    def _learn_actions(self, targets: Targets, orders: list[Tensor]) -> tuple[float, ...]:
+        """Clipped policy gradient (Schulman et al. 2017, eq. 7).
 
         Returns:
-            ``(4,)`` policy loss, value loss, KL divergence, share of clipped ratios.
+            Policy loss of all steps; KL divergence and share of clipped ratios of the last epoch.
         """
+        policy, clip = self.policy, float(self.clip_range(1))  # type: ignore[operator]
+        inputs, error = policy.action_inputs(self.rollout_buffer.flat_observations())
+        old_log_std = policy.log_std.detach().clone()
+        policy.optimizer.param_groups[0]["lr"] = 0.0 if self.actor_frozen else self.actor_rate
+        last_epoch = len(orders) - len(orders) // self.n_epochs
+        total, last = torch.zeros(()), torch.zeros(2)
+        for i, rows in enumerate(orders):
+            mean = policy.action_mean_of(inputs[rows], error[rows])
+            log_ratio = policy.log_prob(mean, targets.actions[rows]) - targets.log_probs[rows]
+            ratio, advantages = log_ratio.exp(), targets.advantages[rows]
+            gain = torch.minimum(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages)
+            loss = -gain.mean()
+            if self.ent_coef:
+                loss = loss - self.ent_coef * policy.log_std.sum()
+            self._descend(loss, policy.optimizer)
+            with torch.no_grad():
+                total += loss
+                if i >= last_epoch:
+                    kl = _gaussian_kl(targets.means[rows], old_log_std, mean, policy.log_std)
+                    clipped = ((ratio - 1).abs() > clip).float().mean()
+                    last += torch.stack((kl, clipped)) * (len(rows) / len(targets.returns))
+        return (total.item() / len(orders), *last.tolist())
+
+    def _learn_values(self, targets: Targets, orders: list[Tensor]) -> tuple[float, ...]:
+        """Squared error of the values; returns its mean over all steps."""
         policy = self.policy
-        mean = policy.action_mean(batch.observations)
-        log_ratio = policy.log_prob(mean, batch.actions) - batch.log_probs
-        ratio = log_ratio.exp()
-        clip = float(self.clip_range(1))  # type: ignore[operator]
-        clipped = ratio.clamp(1 - clip, 1 + clip)
-        gain = torch.minimum(ratio * batch.advantages, clipped * batch.advantages)
-        values = policy.predict_values(batch.observations).squeeze(1)
-        policy_loss = -gain.mean()
-        value_loss = (values - batch.returns).square().mean()
-        loss = policy_loss + self.vf_coef * value_loss
-        if self.ent_coef:
-            loss = loss - self.ent_coef * policy.log_std.sum()
+        critic, optimizer = policy.critic, policy.critic_optimizer
+        if critic is None or optimizer is None:
+            return (0.0,)
+        if policy.settings["critic_learning_rate"] is None:
+            optimizer.param_groups[0]["lr"] = self.actor_rate
+        inputs = critic.inputs(self.rollout_buffer.flat_observations())
+        total = torch.zeros(())
+        for rows in orders:
+            values = critic.of_inputs(inputs[rows]).squeeze(1)
+            loss = (values - targets.returns[rows]).square().mean()
+            self._descend(loss, optimizer)
+            total += loss.detach()
+        return (total.item() / len(orders),)
+
+    def _descend(self, loss: Tensor, optimizer: torch.optim.Optimizer) -> None:
+        """One gradient step.
+
+        Raises:
+            TrainingError: the loss is not finite; nothing was changed.
+        """
         if not bool(torch.isfinite(loss)):
             raise TrainingError("the loss is not finite", self.num_timesteps)
-        policy.optimizer.zero_grad(set_to_none=True)
+        optimizer.zero_grad(set_to_none=True)
         loss.backward()
-        for group in policy.optimizer.param_groups:
-            torch.nn.utils.clip_grad_norm_(group["params"], self.max_grad_norm)
-        policy.optimizer.step()
-        with torch.no_grad():
-            kl = _gaussian_kl(batch.means, old_log_std, mean, policy.log_std)
-            clip_fraction = ((ratio - 1).abs() > clip).float().mean()
-            return torch.stack((policy_loss, value_loss, kl, clip_fraction))
+        torch.nn.utils.clip_grad_norm_(optimizer.param_groups[0]["params"], self.max_grad_norm)
+        optimizer.step()
 
     def iterate(self, observe: StepObserver, progress: float) -> dict[str, float]:
         """One rollout and the update after it, outside of ``learn``.
 
         Args:
             observe: told of every environment step.
-            progress: share of the budget that is used; nothing depends on it here.
+            progress: share of the budget that is used, 0 to 1.
 
         Returns:
             Figures to log.
@@ -210,6 +239,9 @@ class AdaptivePPO(PPO):
         if self._last_obs is None:
             self._last_obs = self.env.reset()  # type: ignore[union-attr]
         self._observer.observe = observe
+        first_kl, final_kl = self._kl_range
+        if first_kl is not None and final_kl is not None:
+            self.desired_kl = first_kl * (final_kl / first_kl) ** min(progress, 1.0)
         assert self.env is not None
         self.collect_rollouts(self.env, self._observer, self.rollout_buffer, self.n_steps)
         self.train()
@@ -217,10 +249,12 @@ class AdaptivePPO(PPO):
 
     def state_dict(self) -> dict[str, Any]:
         """What going on needs, in plain values and tensors."""
+        critic = self.policy.critic_optimizer
         return {
             "steps": self.num_timesteps,
             "policy": self.policy.state_dict(),
             "optimizer": self.policy.optimizer.state_dict(),
+            "critic_optimizer": critic.state_dict() if critic is not None else {},
             "generator": self.generator.get_state(),
             "actor_rate": self.actor_rate,
             "updates": self._n_updates,
@@ -231,6 +265,8 @@ class AdaptivePPO(PPO):
         self.num_timesteps, self._n_updates = state["steps"], state["updates"]
         self.policy.load_state_dict(state["policy"])
         self.policy.optimizer.load_state_dict(state["optimizer"])
+        if self.policy.critic_optimizer is not None:
+            self.policy.critic_optimizer.load_state_dict(state["critic_optimizer"])
         self.generator.set_state(state["generator"])
         self.actor_rate = state["actor_rate"]
 

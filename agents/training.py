@@ -123,7 +123,7 @@ def train(args: TrainArgs) -> int:
 
     noted: list[bool] = []
 
-    torch.set_num_threads(args.threads)
+    torch.set_num_threads(1)  # the learners' own workers share the cores; see agents/workers.py
     stopper = Stopper()
     with Display() as display, stopper.listening():
         for name in names:
@@ -277,7 +277,7 @@ def _learner(
 ) -> Learner:
     if isinstance(config.learning, DaggerConfig):
         return _student(args, config, config.learning, env, seed)
-    learner = make_ppo(config, config.learning, env, seed)
+    learner = make_ppo(config, config.learning, env, seed, args.threads)
     if name == "teacher" and args.start is not None:
         _begin_with(learner.policy, args.start)
     if name == "finetune":
@@ -291,15 +291,19 @@ def _learner(
     return learner
 
 
-def make_ppo(config: StageConfig, ppo: PPOConfig, env: QuestVecEnv, seed: int) -> AdaptivePPO:
+def make_ppo(
+    config: StageConfig, ppo: PPOConfig, env: QuestVecEnv, seed: int, threads: int = 1
+) -> AdaptivePPO:
     """PPO with a fresh policy for ``env``."""
     noise = noise_by_joint(DOFS, ppo.noise_legs_and_trunk, ppo.noise_arms_and_neck)
     return AdaptivePPO(
         TorquePolicy,
         env,
         desired_kl=ppo.desired_kl,
+        final_kl=ppo.final_kl,
         reward_scale=ppo.reward_scale,
         bfloat16=ppo.bfloat16,
+        threads=threads,
         learning_rate=ppo.learning_rate,
         n_steps=ppo.rollout_steps,
         batch_size=min(ppo.minibatch, ppo.rollout_steps * env.num_envs),
@@ -335,7 +339,7 @@ def _student(
         # The stiffness that the teacher found is a good start for what imitates it.
         student.head.load_state_dict(teacher.policy.head.state_dict())
     student.log_std.data.copy_(teacher.policy.log_std.data)
-    return Dagger(env, teacher, student, learning, seed)
+    return Dagger(env, teacher, student, learning, seed, args.threads)
 
 
 def _begin_with(policy: TorquePolicy, stage: Path) -> None:

@@ -19,7 +19,7 @@ def nothing(*_: object) -> None:
     """An observer that looks away."""
 
 
-def small_ppo(env: FakeVecEnv, seed: int = 0, **changes) -> AdaptivePPO:
+def small_ppo(env: FakeVecEnv, seed: int = 0, threads: int = 1, **changes) -> AdaptivePPO:
     config = StageConfig(1.0, SMALL, replace(QUICK, **changes))
     assert isinstance(config.learning, PPOConfig)
-    return make_ppo(config, config.learning, env, seed)  # type: ignore[arg-type]
+    return make_ppo(config, config.learning, env, seed, threads)  # type: ignore[arg-type]

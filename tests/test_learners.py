@@ -55,16 +55,39 @@ def test_advantages_are_discounted_sums_of_surprises_up_to_the_episodes_end():
             assert float(buffer.advantages[t, i]) == pytest.approx(expected, abs=1e-5)
 
 
-def test_minibatches_visit_every_row_once_with_its_own_numbers():
-    env = FakeVecEnv(4)
-    buffer = buffer_for(env, 5)
+def test_an_update_visits_every_row_once_an_epoch():
+    buffer = buffer_for(FakeVecEnv(4), 5)
+    orders = buffer.orders(6, 2, torch.Generator().manual_seed(0))
+    assert [len(rows) for rows in orders] == [6, 6, 6, 2] * 2
+    for epoch in (orders[:4], orders[4:]):
+        assert sorted(torch.cat(epoch).tolist()) == list(range(20))
+    assert not torch.equal(orders[0], orders[4])
+
+
+def test_rows_of_an_update_belong_together():
+    buffer = buffer_for(FakeVecEnv(4), 5)
     buffer.values[:] = torch.arange(20.0).view(5, 4)
-    buffer.observations[..., 0] = buffer.values
-    batches = list(buffer.minibatches(6, torch.Generator().manual_seed(0)))
-    assert [len(b.returns) for b in batches] == [6, 6, 6, 2]
-    seen = torch.cat([b.returns for b in batches])
-    assert sorted(seen.tolist()) == list(range(20))
-    assert all(torch.equal(b.observations[:, 0], b.returns) for b in batches)
+    buffer.actions[..., 0] = buffer.values
+    targets = buffer.learning_targets()
+    assert targets.returns.tolist() == targets.actions[:, 0].tolist() == list(range(20))
+
+
+def test_actor_and_critic_learn_the_same_side_by_side_as_one_after_the_other():
+    policies = []
+    for threads in (1, 2):
+        ppo = small_ppo(FakeVecEnv(16), threads=threads)
+        for _ in range(3):
+            ppo.iterate(nothing, 0.0)
+        policies.append(ppo.policy.state_dict())
+    for name, tensor in policies[0].items():
+        assert torch.equal(tensor, policies[1][name]), name
+
+
+def test_the_step_of_an_update_shrinks_over_the_budget():
+    ppo = small_ppo(FakeVecEnv(2), desired_kl=0.16, final_kl=0.01)
+    for progress, expected in ((0.0, 0.16), (0.5, 0.04), (1.0, 0.01)):
+        ppo.iterate(nothing, progress)
+        assert ppo.desired_kl == pytest.approx(expected)
 
 
 def test_kl_is_that_of_normal_distributions():
@@ -119,8 +142,8 @@ def test_normaliser_changes_only_between_rollout_and_next_rollout():
     assert all(torch.equal(a, b) for a, b in zip(before, ppo.policy.parameters(), strict=True))
     mean = norm.mean.clone()
     seen: list[torch.Tensor] = []
-    step = ppo._step
-    ppo._step = lambda *a: (seen.append(norm.mean.clone()), step(*a))[1]  # type: ignore
+    step = ppo._descend
+    ppo._descend = lambda *a: (seen.append(norm.mean.clone()), step(*a))[1]  # type: ignore
     ppo.iterate(nothing, 0.0)
     assert seen
     assert all(torch.equal(m, mean) for m in seen)
