@@ -2,6 +2,7 @@
 
 ``policy.safetensors`` holds the actor with its normaliser, gains and noise; ``policy.yaml`` says
 for which observation, joints, links and body it is. Neither can run code when loaded.
+``critic.safetensors`` holds what only a further training needs; acting does not read it.
 ``resume.pt``, beside the last checkpoint of a training, holds what only going on needs.
 """
 
@@ -27,7 +28,9 @@ from questsim.skeleton import DOFS, LINKS
 
 FORMAT, FORMAT_VERSION = "questsim-policy", 1
 WEIGHTS_FILE, CARD_FILE, RESUME_FILE = "policy.safetensors", "policy.yaml", "resume.pt"
+CRITIC_FILE = "critic.safetensors"
 SHIPPED = Path(__file__).parent / "weights"
+CRITIC = "critic."
 
 # Of the fine-tuning only what helped is a result, so its last state is none.
 RUN_POLICIES = (
@@ -48,7 +51,7 @@ def save_policy(
 
     Args:
         folder: where; its parent is created.
-        policy: its actor is saved, its critic only inside ``resume``.
+        policy: its actor is saved, and its critic, if it has one, beside it.
         needs: the environment it acts in.
         training: what to record: data, licence, steps, figures.
         resume: state for going on, of tensors, arrays, numbers, text, lists and dictionaries.
@@ -56,12 +59,11 @@ def save_policy(
     fresh = folder.with_name(folder.name + ".new")
     shutil.rmtree(fresh, ignore_errors=True)
     fresh.mkdir(parents=True)
-    weights = {
-        name: tensor.detach().contiguous()
-        for name, tensor in policy.state_dict().items()
-        if not name.startswith("critic.")
-    }
-    (fresh / WEIGHTS_FILE).write_bytes(save(weights))
+    state = {name: tensor.detach().contiguous() for name, tensor in policy.state_dict().items()}
+    critic = {name: state.pop(name) for name in list(state) if name.startswith(CRITIC)}
+    (fresh / WEIGHTS_FILE).write_bytes(save(state))
+    if critic:
+        (fresh / CRITIC_FILE).write_bytes(save(critic))
     card = describe(policy, needs) | {"training": training}
     (fresh / CARD_FILE).write_text(yaml.safe_dump(card, sort_keys=False), encoding="utf-8")
     if resume is not None:
@@ -161,6 +163,24 @@ def load_policy(folder: Path) -> PolicyAgent:
             raise InputError(f"{name} is not finite", folder / WEIGHTS_FILE)
     kind = Tracker if spec.actor_blocks == TRACKER_BLOCKS else PolicyAgent
     return kind(policy, needs, folder.name, card)
+
+
+def load_critic(folder: Path, policy: TorquePolicy) -> None:
+    """Give ``policy`` the critic that was saved beside a policy.
+
+    Raises:
+        InputError: there is none, or it is damaged or of another shape.
+    """
+    path = folder / CRITIC_FILE
+    if not path.exists():
+        raise InputError("has no critic to go on with", folder, "name a teacher's folder")
+    try:
+        critic = load_file(path)
+        missing, unexpected = policy.load_state_dict(critic, strict=False)
+    except (SafetensorError, RuntimeError) as error:
+        raise InputError("its critic does not fit this preset's", path) from error
+    if unexpected or any(name.startswith(CRITIC) for name in missing):
+        raise InputError("its critic does not fit this preset's", path)
 
 
 def find_policy(path_or_name: str | Path) -> Path:

@@ -30,15 +30,17 @@ class StagePart:
     """One stage behind a policy.
 
     Attributes:
-        run: the run folder.
+        run: the run folder; of a shipped policy, its folder.
         training: of the policy that came out of it.
         steps, minutes: spent in all; its best policy may have come earlier.
+        command: what trained it, where no run tells.
     """
 
     run: Path
     training: dict[str, Any]
     steps: int
     minutes: float
+    command: str | None = None
 
 
 def provenance(folder: Path) -> dict[str, Any]:
@@ -78,7 +80,10 @@ def stages_behind(folder: Path) -> list[StagePart]:
     Raises:
         InputError: see ``provenance``.
     """
-    run, training = run_of(folder), _training(folder)
+    training = _training(folder)
+    if "stages" in training:
+        return _shipped_stages(folder, training)
+    run = run_of(folder)
     stage, earlier = training["stage"], list[StagePart]()
     if stage in STAGES[1:]:
         before = STAGES[STAGES.index(stage) - 1]
@@ -91,6 +96,14 @@ def stages_behind(folder: Path) -> list[StagePart]:
     last = run / stage / "last"
     end = _training(last) if (last / CARD_FILE).exists() else training
     return [*earlier, StagePart(run, training, end["steps"], end["minutes"])]
+
+
+def _shipped_stages(folder: Path, training: dict[str, Any]) -> list[StagePart]:
+    """What a shipped policy's description tells of the stages behind it."""
+    return [
+        StagePart(folder, training | stage, stage["steps"], stage["minutes"], command)
+        for stage, command in zip(training["stages"], training["commands"], strict=True)
+    ]
 
 
 def run_of(folder: Path) -> Path:
@@ -121,16 +134,23 @@ def commands(parts: list[StagePart]) -> list[str]:
     """
     own, lines, begun = parts[-1].run, [], set()
     for part in parts:
+        if part.command is not None:
+            lines.append(part.command)
+            continue
         stage, run = part.training["stage"], part.run
         words = ["--stage", stage, "--minutes", str(ceil(part.minutes))]
         words += ["--out", "runs/NAME" if run == own else "runs/TEACHER"]
-        if run == own and parts[0].run != own:
-            words += ["--teacher", "runs/TEACHER"]
+        if run == own and parts[0].run != own and stage == "student":
+            words += ["--teacher", _teacher_name(parts[0])]
         if run in begun:
             words.append("--resume")
         begun.add(run)
         lines.append(shlex.join(["python", "train.py", *_options(read_run(run)["args"]), *words]))
     return lines
+
+
+def _teacher_name(part: StagePart) -> str:
+    return "runs/TEACHER" if part.command is None else part.run.name
 
 
 def _options(args: Mapping[str, Any]) -> list[str]:

@@ -10,7 +10,14 @@ from typing import Any
 
 import yaml
 
-from agents.checkpoint import CARD_FILE, SHIPPED, WEIGHTS_FILE, find_policy, load_policy
+from agents.checkpoint import (
+    CARD_FILE,
+    CRITIC_FILE,
+    SHIPPED,
+    WEIGHTS_FILE,
+    find_policy,
+    load_policy,
+)
 from agents.licence import UNKNOWN
 from agents.model_card import model_card, read_metrics
 from agents.provenance import provenance
@@ -82,6 +89,8 @@ def _write(folder: Path, source: Path, description: dict[str, Any], card: str) -
     shutil.rmtree(fresh, ignore_errors=True)
     fresh.mkdir(parents=True)
     shutil.copy(source / WEIGHTS_FILE, fresh)
+    if (source / CRITIC_FILE).exists():
+        shutil.copy(source / CRITIC_FILE, fresh)
     text = yaml.safe_dump(description, sort_keys=False)
     (fresh / CARD_FILE).write_text(text, encoding="utf-8")
     (fresh / MODEL_CARD).write_text(card, encoding="utf-8")

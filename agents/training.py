@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from agents.agent import Needs, PolicyAgent, new_policy
-from agents.checkpoint import CARD_FILE, find_policy, load_policy, load_resume
+from agents.checkpoint import CARD_FILE, find_policy, load_critic, load_policy
 from agents.dagger import Dagger, DaggerConfig
 from agents.learner import Learner
 from agents.monitor import Display
@@ -71,9 +71,9 @@ class TrainArgs:
     resume: bool = False
     """Go on with the run in --out."""
     teacher: Path | None = None
-    """A trained teacher for the student stage, by default the run's own."""
+    """A teacher for the student stage: a folder or a shipped name; by default the run's own."""
     start: Path | None = None
-    """A teacher (its stage folder) whose weights the teacher begins with."""
+    """A teacher, by folder or shipped name, whose weights the teacher begins with."""
     sensors: str = "H+2C"
     """What the policy sees of the user."""
     future_frames: int = 6
@@ -342,17 +342,19 @@ def _student(
     return Dagger(env, teacher, student, learning, seed, args.threads)
 
 
-def _begin_with(policy: TorquePolicy, stage: Path) -> None:
-    """Take the networks, critic included, and normalisers of another run's last checkpoint.
+def _begin_with(policy: TorquePolicy, teacher: Path) -> None:
+    """Take the networks, critic included, and normalisers of another teacher.
 
     Raises:
         InputError: there is none, or its networks differ.
     """
-    state = load_resume(stage / "last")
+    folder = find_policy(teacher)
+    source = load_policy(folder).policy
     try:
-        policy.load_state_dict(state["learner"]["policy"])
-    except (KeyError, RuntimeError) as error:
-        raise InputError("its networks do not fit this preset's", stage, "see --start") from error
+        copy_actor(source, policy)
+    except RuntimeError as error:
+        raise InputError("its networks do not fit this preset's", teacher, "see --start") from error
+    load_critic(folder, policy)
 
 
 def copy_actor(source: TorquePolicy, target: TorquePolicy) -> None:

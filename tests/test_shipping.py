@@ -11,9 +11,9 @@ import torch
 import yaml
 from rollouts import moving_clip, rollout
 
-from agents import shipping
+from agents import checkpoint, shipping
 from agents.agent import Needs, PolicyAgent, Tracker, new_policy
-from agents.checkpoint import load_policy, save_policy
+from agents.checkpoint import CRITIC_FILE, load_policy, save_policy
 from agents.licence import licence_of, strictest
 from agents.presets import PRESETS
 from agents.run_folder import start_run
@@ -194,6 +194,29 @@ def test_student_of_another_runs_teacher_has_both_licences_and_commands(run, tmp
     assert (
         "--sensors H --stage student --minutes 30 --out runs/NAME --teacher runs/TEACHER\n"
     ) in card
+
+
+def test_student_of_a_shipped_teacher_repeats_how_that_was_trained(run, tmp_path, monkeypatch):
+    weights = tmp_path / "weights"
+    ship(ShipArgs(run / "teacher", "tracker", into=weights))
+    monkeypatch.setattr(checkpoint, "SHIPPED", weights)
+    record = data()
+    other = new_run(tmp_path / "headset", record, stage="student", teacher="tracker", sensors="H")
+    add_stage(other, "student", record, 1_000_000, 20.0, sensors="H")
+    ship(ShipArgs(other, "headset", into=weights))
+    training = load_policy(weights / "headset").card["training"]
+    assert training["licence"] == "CC-BY-NC-4.0"
+    assert [stage["stage"] for stage in training["stages"]] == ["teacher", "student"]
+    taught, student = training["commands"]
+    assert "--stage teacher --minutes 180 --out runs/NAME" in taught
+    assert student.endswith("--out runs/NAME --teacher tracker")
+
+
+def test_a_shipped_teacher_keeps_its_critic(run, tmp_path):
+    best = run / "teacher" / "best"
+    (best / CRITIC_FILE).write_bytes(b"values")
+    ship(ShipArgs(run / "teacher", "tracker", into=tmp_path))
+    assert (tmp_path / "tracker" / CRITIC_FILE).read_bytes() == b"values"
 
 
 def test_policy_of_our_own_motions_is_under_our_licence(tmp_path):

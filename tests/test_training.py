@@ -16,7 +16,7 @@ from learners import nothing, small_ppo
 
 from agents import training
 from agents.agent import Needs, PolicyAgent, load_agent
-from agents.checkpoint import load_resume
+from agents.checkpoint import CRITIC_FILE, load_resume
 from agents.learner import TrainingError
 from agents.monitor import Display, evaluation_figures
 from agents.presets import PRESETS, PPOConfig
@@ -223,7 +223,9 @@ def test_interrupted_training_ends_with_the_bits_of_one_that_was_not(clips, tmp_
 def test_a_teacher_begins_with_another_teachers_weights_and_says_so(clips, tmp_path):
     train(tiny(tmp_path / "a", stage="teacher", seed=5))
     learnt = load_resume(tmp_path / "a" / "teacher" / "last")["learner"]["policy"]
-    begun = tiny(tmp_path / "b", stage="teacher", start=tmp_path / "a" / "teacher", steps=64)
+    begun = tiny(
+        tmp_path / "b", stage="teacher", start=tmp_path / "a" / "teacher" / "last", steps=64
+    )
     train(begun)
     weights = load_resume(tmp_path / "b" / "teacher" / "last")["learner"]["policy"]
     for name, tensor in learnt.items():
@@ -231,11 +233,14 @@ def test_a_teacher_begins_with_another_teachers_weights_and_says_so(clips, tmp_p
             assert (tensor - weights[name]).abs().max() < 0.02, name
     parts = stages_behind(tmp_path / "b" / "teacher" / "best")
     assert [part.run.name for part in parts] == ["a", "b"]
-    with pytest.raises(InputError, match="nothing to resume"):
+    with pytest.raises(InputError, match="is no agent"):
         train(replace(begun, out=tmp_path / "c", start=tmp_path / "none"))
     wider = "stages.teacher.policy.hidden=[64]"
     with pytest.raises(InputError, match="networks do not fit"):
         train(replace(begun, out=tmp_path / "d", set=(wider,)))
+    (tmp_path / "a" / "teacher" / "last" / CRITIC_FILE).unlink()
+    with pytest.raises(InputError, match="has no critic"):
+        train(replace(begun, out=tmp_path / "e"))
 
 
 @pytest.mark.parametrize(
