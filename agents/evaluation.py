@@ -44,6 +44,8 @@ class EvaluateArgs:
     """Folder for metrics.json, clips.csv and plots."""
     video: bool = False
     """Also write a video of avatar beside reference."""
+    scorecard: bool = False
+    """Evaluate the agent and its shipped variants at all heights against the project's bars."""
     max_clips: int | None = None
     """Follow only this many clips, of all kinds of motion."""
     threads: int = 2
@@ -67,6 +69,12 @@ def evaluate(args: EvaluateArgs) -> int:
     if args.out is not None:
         check_writable(args.out)
     torch.set_num_threads(args.threads)
+    if args.scorecard:
+        from agents.scorecard import format_scorecard, scorecard
+
+        card = scorecard(args.agent, args.motions, args.out, args.max_clips, args.threads)
+        print(format_scorecard(card))
+        return 0
     agent = load_agent(args.agent)
     config = env_config(agent, args.env, args.height)
     clips = load_motions(args.motions, seed=args.seed)

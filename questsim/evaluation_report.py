@@ -53,8 +53,8 @@ LABELS: dict[str, str] = {
     "real_time_factor": "real-time factor",
 }
 
-BY_KIND = ("clips", "success", "mpjpe_cm", "mpjre_deg", "root_cm", "sip_deg", "jitter_km_s3")
-"""Which figures the table shows of each kind of motion; metrics.json has them all."""
+BY_GROUP = ("clips", "success", "mpjpe_cm", "mpjre_deg", "root_cm", "sip_deg", "jitter_km_s3")
+"""Which figures the table shows of each kind and style; metrics.json has them all."""
 
 
 def check_writable(out: str | Path) -> None:
@@ -170,7 +170,7 @@ def clips_csv(rollouts: Sequence[Rollout]) -> str:
 
 
 def format_table(metrics: Mapping[str, Any], width: int = 100) -> str:
-    """The figures as text for a terminal: all and completed clips, then each kind of motion.
+    """The figures as text for a terminal: all and completed clips, then each kind and style.
 
     Args:
         metrics: what ``metrics.evaluate`` or ``write_report`` returns.
@@ -184,17 +184,25 @@ def format_table(metrics: Mapping[str, Any], width: int = 100) -> str:
         whole.add_row(
             label, *(_cell(name, metrics[column][name]) for column in ("all", "completed"))
         )
-    kinds = Table(title="By kind of motion, all clips until the fall", title_justify="left")
-    kinds.add_column("kind", no_wrap=True)
-    for name in BY_KIND:
-        kinds.add_column(LABELS[name].replace(" (", "\n("), justify="right")
-    for kind, columns in metrics["by_kind"].items():
-        kinds.add_row(kind, *(_cell(name, columns["all"][name]) for name in BY_KIND))
     console = Console(file=io.StringIO(), width=width, color_system=None, markup=False)
     console.print(whole)
-    console.print(kinds)
+    console.print(_groups("kind of motion", metrics["by_kind"]))
+    # One style says no more than the whole does.
+    if len(metrics["by_style"]) > 1:
+        console.print(_groups("style", metrics["by_style"]))
     lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
     return "\n".join(line.rstrip() for line in lines)
+
+
+def _groups(label: str, groups: Mapping[str, Any]) -> Table:
+    """A row of the most telling figures for each kind or style."""
+    table = Table(title=f"By {label}, all clips until the fall", title_justify="left")
+    table.add_column(label.split()[0], no_wrap=True)
+    for name in BY_GROUP:
+        table.add_column(LABELS[name].replace(" (", "\n("), justify="right")
+    for group, columns in groups.items():
+        table.add_row(group, *(_cell(name, columns["all"][name]) for name in BY_GROUP))
+    return table
 
 
 def _cell(name: str, value: float | None) -> str:

@@ -1,0 +1,85 @@
+"""The scorecard holds the right figures against the right bars."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+import torch
+from helpers import swaying_clip
+
+from agents import checkpoint
+from agents.agent import Needs, new_policy
+from agents.checkpoint import save_policy
+from agents.evaluation import EvaluateArgs, evaluate
+from agents.scorecard import BARS, TRIALS, Bar, figure, format_scorecard, scorecard
+from agents.spec import SPARSE_BLOCKS, Layout, PolicySpec
+from envs.config import EnvConfig
+from envs.layout import observation_layout
+from questsim.errors import InputError
+from questsim.motion.library import save_library
+from questsim.motion.retarget_back import to_motion
+
+VARIANTS = {"tiny": ("H+2C", 6), "tiny-headset": ("H", 6), "tiny-now": ("H+2C", 0)}
+
+
+@pytest.fixture
+def library(tmp_path, monkeypatch):
+    """Two motions, and a policy with its variants among the shipped ones."""
+    torch.manual_seed(0)
+    for name, (sensors, frames) in VARIANTS.items():
+        config = EnvConfig(sensors=sensors, future_frames=frames)
+        layout = Layout.of(observation_layout(config)).within(SPARSE_BLOCKS)
+        policy = new_policy(PolicySpec(critic_blocks=(), hidden=(8,)), layout)
+        needs = Needs(sensors=sensors, future_frames=frames)
+        save_policy(tmp_path / "weights" / name, policy, needs, {})
+    monkeypatch.setattr(checkpoint, "SHIPPED", tmp_path / "weights")
+    clips = [swaying_clip(name, frames=20, height_m=1.7) for name in ("a", "b")]
+    path = tmp_path / "two.npz"
+    save_library(path, [to_motion(clip) for clip in clips], clips)
+    return path
+
+
+def test_each_trial_has_its_sensors_and_height(library, tmp_path):
+    card = scorecard("tiny", str(library), tmp_path / "out", None, threads=1)
+    assert set(card["trials"]) == set(TRIALS)
+    assert len(card["rows"]) == len(BARS)
+    seen = {}
+    for trial in TRIALS:
+        report = json.loads((tmp_path / "out" / trial / "metrics.json").read_text())
+        config = report["context"]["config"]
+        seen[trial] = (config["sensors"], config["future_frames"], config["heights"])
+    assert seen == {
+        "h2c": ("H+2C", 6, None),
+        "headset": ("H", 6, None),
+        "now": ("H+2C", 0, None),
+        "short": ("H+2C", 6, [1.45, 1.45]),
+        "tall": ("H+2C", 6, [1.95, 1.95]),
+    }
+    assert json.loads((tmp_path / "out" / "scorecard.json").read_text()) == card
+    assert "headset only" in format_scorecard(card)
+
+
+def test_success_is_of_all_clips_and_errors_of_those_completed():
+    metrics = {
+        "all": {"success": 0.25, "mpjpe_cm": 9.0},
+        "completed": {"success": 1.0, "mpjpe_cm": 3.0},
+    }
+    assert figure(metrics, "success") == 25.0
+    assert figure(metrics, "mpjpe_cm") == 3.0
+
+
+def test_a_bar_is_reached_from_its_good_side_only():
+    success, error = Bar("h2c", "success", 95.0, 99.0), Bar("h2c", "mpjpe_cm", 4.0, 3.0)
+    assert success.reached(95.0, success.bar)
+    assert not success.reached(94.9, success.bar)
+    assert error.reached(3.9, error.bar)
+    assert not error.reached(3.9, error.goal)
+    assert not error.reached(None, error.bar)  # nothing was completed
+
+
+def test_a_missing_variant_is_named_before_anything_runs(library, tmp_path, monkeypatch):
+    args = EvaluateArgs("zero-none", motions=str(library), out=tmp_path / "o", scorecard=True)
+    with pytest.raises(InputError, match="zero-none"):
+        evaluate(args)
+    assert not (tmp_path / "o").exists()
