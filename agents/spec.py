@@ -22,8 +22,11 @@ JOINT_BLOCK, REFERENCE_BLOCK = "joint_angles", "reference_joint_angles"
 # a light limb would only tremble (feasibility: 0.12 for legs and trunk, 0.04 for arms and neck).
 LEG_AND_TRUNK_JOINTS = ("hip", "knee", "ankle", "spine", "chest")
 
-HEAD_SETTLING_TIME_S = 0.04
-"""The initial stiffness is 4 x damping over this time."""
+HEAD_SETTLING_TIME_S = 0.08
+"""The initial stiffness is 4 x damping over this time.
+
+A torque that is held for T acts T / 2 late, which takes kp T / 2 from a joint's damping c: above
+kp = 2 c / T = 72 c the springs swing by themselves. 0.08 s gives 50 c, 0.04 s would give 100 c."""
 
 
 @dataclass(frozen=True)

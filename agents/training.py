@@ -184,7 +184,7 @@ def _run_stage(
         return follow(agent, sim, validation)
 
     try:
-        learner = _learner(name, args, config, env, seed)
+        learner = make_learner(name, args, config, env, seed)
         stage = Stage(
             name=name,
             learner=learner,
@@ -272,7 +272,7 @@ def _schedule(config: StageConfig, learner: Learner) -> Any:
     return partial(freeze, learner) if warmup else None
 
 
-def _learner(
+def make_learner(
     name: str, args: TrainArgs, config: StageConfig, env: QuestVecEnv, seed: int
 ) -> Learner:
     if isinstance(config.learning, DaggerConfig):

@@ -52,7 +52,7 @@ class BatchSim:
     Attributes:
         layout: slices of an observation by name.
         observation: ``(n, size)`` float32, of the present state.
-        reward: ``(n,)``; reward_terms: ``(n, 5)`` in the order of ``TERMS``.
+        reward: ``(n,)``; reward_terms: ``(n, 6)`` in the order of ``TERMS``.
         error: ``(n,)`` mean distance of the links from the reference in metres.
         fell, ended, unstable: ``(n,)`` bool of the last step: the error passed its limit (or
             the physics failed), the clip ended, the physics was not finite.
@@ -261,9 +261,9 @@ class BatchSim:
     def _score_chunk(self, first: int, last: int) -> None:
         reference = self.reference
         kernels.score(
-            first, last, self.qpos, self.qvel, self._xpos, self._cvel, self._com,
+            first, last, self.qpos, self.qvel, self._xpos, self._xquat, self._cvel, self._com,
             self.contact_force, self._previous_force, self.frame, self._ratio,
-            reference.qpos, reference.qvel, reference.position, reference.velocity,
+            reference.qpos, reference.qvel, reference.position, reference.quat, reference.velocity,
             self._kernels, self._weights, self.reward_terms, self.reward, self.error,
         )  # fmt: skip
 

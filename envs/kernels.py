@@ -136,10 +136,11 @@ def observe(
 
 @_jit
 def score(
-    first, last, qpos, qvel, xpos, cvel, com, force, previous_force, frame, ratio,
-    ref_qpos, ref_qvel, ref_position, ref_velocity, kernels, weights, terms, reward, error,
+    first, last, qpos, qvel, xpos, xquat, cvel, com, force, previous_force, frame, ratio,
+    ref_qpos, ref_qvel, ref_position, ref_quat, ref_velocity,
+    kernels, weights, terms, reward, error,
 ):  # fmt: skip
-    """Fill ``terms`` ``(n, 5)``, ``reward`` ``(n,)`` and mean link ``error`` ``(n,)`` in metres.
+    """Fill ``terms`` ``(n, 6)``, ``reward`` ``(n,)`` and mean link ``error`` ``(n,)`` in metres.
 
     ``frame`` is the reference row of the new state; see ``observe`` for the rest.
     """
@@ -157,7 +158,13 @@ def score(
         squared = 0.0
         speed = 0.0
         distance = 0.0
+        turn = 0.0
         for b in range(links):
+            dot = 0.0
+            for c in range(4):
+                dot += xquat[i, b + 1, c] * ref_quat[row, b, c]
+            angle = 2.0 * math.acos(min(abs(dot), 1.0))
+            turn += angle * angle
             x, y, z = xpos[i, b + 1, 0], xpos[i, b + 1, 1], xpos[i, b + 1, 2]
             dx = x - ref_position[row, b, 0] * scale
             dy = y - ref_position[row, b, 1] * scale
@@ -179,8 +186,9 @@ def score(
         terms[i, 2] = math.exp(-kernels[2] * squared / links)
         terms[i, 3] = math.exp(-kernels[3] * speed / links)
         terms[i, 4] = math.exp(-kernels[4] * drop)
+        terms[i, 5] = math.exp(-kernels[5] * turn / links)
         total = 0.0
-        for t in range(5):
+        for t in range(terms.shape[1]):
             total += weights[t] * terms[i, t]
         reward[i] = total
         error[i] = distance / links

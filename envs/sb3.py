@@ -25,7 +25,7 @@ class QuestVecEnv(VecEnv):
     ``infos[i]`` is empty but at an episode's end, when it holds ``terminal_observation``,
     ``TimeLimit.truncated``, ``episode`` (``r``, ``l``, ``t``), ``clip``, ``kind``, ``fell`` and
     the mean of each term of the reward by name. The terms of every single step are in
-    ``reward_terms`` ``(n, 5)``.
+    ``reward_terms`` ``(n, 6)``.
 
     Args:
         clips, config, num_envs, seed, num_threads: as of ``BatchSim``.

@@ -18,6 +18,7 @@ TERMS: tuple[str, ...] = (
     "link_positions",
     "link_velocities",
     "contact",
+    "link_orientations",
 )
 """The reward's terms, in the order of every array of terms and of the weights."""
 
@@ -28,7 +29,9 @@ class RewardConfig:
 
     The weights and the kernels of angles, positions and contact are QuestSim's. Its velocity
     kernels, 0.3 and 2, see nothing but good tracking: joints that are off by 3 rad/s already earn
-    exp(-2.7). The defaults are softer, so that a beginner too is told what is better.
+    exp(-2.7). The defaults are softer, so that a beginner too is told what is better. The
+    orientations of the links, in the world, are no term of QuestSim's and have no weight by
+    default: they tell a teacher that it turns or leans before its links are far off.
     """
 
     joint_angles: float = 0.4
@@ -36,20 +39,22 @@ class RewardConfig:
     link_positions: float = 0.2
     link_velocities: float = 0.1
     contact: float = 0.2
+    link_orientations: float = 0.0
     k_joint_angles: float = 40.0
     k_joint_velocities: float = 0.03
     k_link_positions: float = 6.0
     k_link_velocities: float = 0.5
     k_contact: float = 0.01
+    k_link_orientations: float = 10.0
 
     @property
     def weights(self) -> np.ndarray:
-        """``(5,)`` in the order of ``TERMS``."""
+        """``(6,)`` in the order of ``TERMS``."""
         return np.array([getattr(self, term) for term in TERMS])
 
     @property
     def kernels(self) -> np.ndarray:
-        """``(5,)`` in the order of ``TERMS``."""
+        """``(6,)`` in the order of ``TERMS``."""
         return np.array([getattr(self, f"k_{term}") for term in TERMS])
 
 
@@ -72,6 +77,17 @@ def link_tracking(simulated: np.ndarray, reference: np.ndarray, k: float) -> np.
     """
     squared = np.sum((simulated - reference) ** 2, axis=-1)
     return np.exp(-k * np.mean(squared, axis=-1))
+
+
+def turn_tracking(simulated: np.ndarray, reference: np.ndarray, k: float) -> np.ndarray:
+    """exp(-k * mean over links of the squared angle) ``(n,)`` of quaternions ``(n, 16, 4)``.
+
+    The angle in rad is that of the one rotation between the two, as in DeepMimic's pose reward
+    (Peng et al. 2018, eq. 6), here in the world.
+    """
+    dot = np.abs(np.sum(simulated * reference, axis=-1))
+    angle = 2.0 * np.arccos(np.minimum(dot, 1.0))
+    return np.exp(-k * np.mean(angle**2, axis=-1))
 
 
 def unloading(previous: np.ndarray, force: np.ndarray, k: float) -> np.ndarray:

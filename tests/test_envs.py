@@ -106,7 +106,7 @@ def test_rewards_are_the_pure_functions_of_the_state() -> None:
         previous = sim.contact_force[..., 2].copy()
         env.step(action)
     velocity = np.zeros((3, 16, 3))
-    reference = {name: [] for name in ("q", "v", "x", "xd")}
+    reference = {name: [] for name in ("q", "v", "x", "xd", "turn")}
     for i in range(3):
         model = build_body(float(sim.heights[i])).model
         data = sim.batch.get_data(i)
@@ -120,7 +120,8 @@ def test_rewards_are_the_pure_functions_of_the_state() -> None:
         reference["v"].append(clip.qvel[row, 6:])
         reference["x"].append(clip.link_position[row])
         reference["xd"].append(clip.link_velocity[row])
-    q, v, x, xd = (np.array(reference[name]) for name in ("q", "v", "x", "xd"))
+        reference["turn"].append(clip.link_quat[row])
+    q, v, x, xd, turn = (np.array(values) for values in reference.values())
     terms = np.stack(
         [
             reward.tracking(sim.qpos[:, 7:], q, config.k_joint_angles),
@@ -128,6 +129,7 @@ def test_rewards_are_the_pure_functions_of_the_state() -> None:
             reward.link_tracking(sim.link_positions, x, config.k_link_positions),
             reward.link_tracking(velocity, xd, config.k_link_velocities),
             reward.unloading(previous, sim.contact_force[..., 2], config.k_contact),
+            reward.turn_tracking(sim.link_quats, turn, config.k_link_orientations),
         ],
         axis=-1,
     )

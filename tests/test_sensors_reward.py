@@ -85,8 +85,12 @@ def test_terms_of_a_hand_computed_case() -> None:
     assert reward.link_tracking(links, moved, 6.0)[0] == pytest.approx(np.exp(-6 * 0.04 / 2))
     previous, now = np.array([[300.0, 400.0]]), np.array([[250.0, 500.0]])
     assert reward.unloading(previous, now, 0.01)[0] == pytest.approx(np.exp(-0.5))
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (1, 2, 1))
+    turned = upright.copy()
+    turned[0, 1] = [-np.cos(0.2), 0.0, 0.0, -np.sin(0.2)]  # 0.4 rad, by the other quaternion
+    assert reward.turn_tracking(upright, turned, 10.0)[0] == pytest.approx(np.exp(-10 * 0.16 / 2))
 
 
 def test_default_weights_and_published_kernels() -> None:
-    np.testing.assert_array_equal(reward.RewardConfig().weights, [0.4, 0.1, 0.2, 0.1, 0.2])
-    np.testing.assert_array_equal(reward.PAPER_REWARD.kernels, [40.0, 0.3, 6.0, 2.0, 0.01])
+    np.testing.assert_array_equal(reward.RewardConfig().weights, [0.4, 0.1, 0.2, 0.1, 0.2, 0.0])
+    np.testing.assert_array_equal(reward.PAPER_REWARD.kernels, [40.0, 0.3, 6.0, 2.0, 0.01, 10.0])
