@@ -275,6 +275,18 @@ def _schedule(config: StageConfig, learner: Learner) -> Any:
 def make_learner(
     name: str, args: TrainArgs, config: StageConfig, env: QuestVecEnv, seed: int
 ) -> Learner:
+    """What learns in a stage, before its first step.
+
+    Args:
+        name: of the stage.
+        args: options of the training; where teacher, student and start are looked for.
+        config: of the stage.
+        env: what it learns in.
+        seed: of everything that is random in it.
+
+    Raises:
+        InputError: a policy that it builds on is not there or does not fit.
+    """
     if isinstance(config.learning, DaggerConfig):
         return _student(args, config, config.learning, env, seed)
     learner = make_ppo(config, config.learning, env, seed, args.threads)
