@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
@@ -29,12 +30,20 @@ def with_overrides(preset: Preset, assignments: Sequence[str]) -> Preset:
         path, equals, text = assignment.partition("=")
         if not equals:
             raise InputError(f"{assignment!r} is not path=value", WHERE)
-        try:
-            value = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise InputError(f"{text!r} is not a YAML value", f"{WHERE} {path}") from error
-        preset = _changed(preset, path.split("."), value, path)
+        preset = _changed(preset, path.split("."), _value(text, path), path)
     return preset
+
+
+def _value(text: str, path: str) -> Any:
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise InputError(f"{text!r} is not a YAML value", f"{WHERE} {path}") from error
+    if isinstance(value, str):
+        # YAML 1.1 reads 6e-5 as text, for want of a point.
+        with suppress(ValueError):
+            return float(value)
+    return value
 
 
 def _changed(holder: Any, names: list[str], value: Any, path: str) -> Any:
@@ -61,7 +70,11 @@ def _converted(old: Any, value: Any, path: str) -> Any:
     """``value`` as the type of the value it replaces; what was None takes any number."""
     if is_dataclass(old) or isinstance(old, dict):
         raise InputError("names a group, not a value", f"{WHERE} {path}", "go on with a dot")
-    if value is None or old is None:
+    if value is None:
+        return value
+    if old is None:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(f"{value!r} is no number", f"{WHERE} {path}", "it is now None")
         return value
     if isinstance(old, tuple) and isinstance(value, list):
         return tuple(value)

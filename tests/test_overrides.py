@@ -24,6 +24,16 @@ def test_values_deep_in_a_preset_change_and_nothing_else() -> None:
     assert CPU.num_envs == 256
 
 
+def test_numbers_may_be_written_with_an_exponent_alone() -> None:
+    changed = with_overrides(
+        CPU,
+        ["stages.teacher.learning.learning_rate=6e-5", "stages.finetune.learning.final_kl=1e-3"],
+    )
+    teacher, finetune = (changed.stages[name].learning for name in ("teacher", "finetune"))
+    assert isinstance(teacher, PPOConfig) and teacher.learning_rate == 6e-5
+    assert isinstance(finetune, PPOConfig) and finetune.final_kl == 1e-3
+
+
 @pytest.mark.parametrize(
     ("assignment", "message"),
     [
@@ -33,6 +43,7 @@ def test_values_deep_in_a_preset_change_and_nothing_else() -> None:
         ("stages.teacher.learning=3", "names a group"),
         ("num_envs.x=3", "no 'x'"),
         ("num_envs=[", "not a YAML value"),
+        ("stages.finetune.learning.final_kl=low", "'low' is no number"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_the_path(assignment: str, message: str) -> None:

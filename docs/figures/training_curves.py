@@ -1,0 +1,73 @@
+"""Draws how teachers and students learnt, from the tables beside this file.
+
+    python docs/figures/training_curves.py                            # draws docs/images/training-*.png
+    python docs/figures/training_curves.py --add NAME runs/RUN/STAGE  # first takes a stage's curve in
+
+`curves.csv` has a row for every evaluation of a training on its fixed clips.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+
+HERE = Path(__file__).parent
+TABLE, IMAGES = HERE / "curves.csv", HERE.parent / "images"
+COLUMNS = ("curve", "steps", "tracked", "link_error_cm", "score")
+FIGURES = {
+    "training-teacher.png": ("teacher, springs of 100 c", "teacher, springs of 50 c"),
+    "training-students.png": ("student H+2C", "student H", "student H+2C, no future frames"),
+}
+
+
+def read() -> dict[str, list[dict[str, str]]]:
+    """The rows of the table by curve."""
+    curves: dict[str, list[dict[str, str]]] = {}
+    if TABLE.exists():
+        with TABLE.open(encoding="utf-8", newline="") as file:
+            for row in csv.DictReader(file):
+                curves.setdefault(row["curve"], []).append(row)
+    return curves
+
+
+def add(curve: str, stage: Path) -> None:
+    """Take the evaluations of a stage's last checkpoint into the table."""
+    from agents.checkpoint import load_resume
+
+    curves = read()
+    history = load_resume(stage / "last")["history"]
+    names = COLUMNS[1:]
+    curves[curve] = [{"curve": curve} | {n: f"{row[n]:g}" for n in names} for row in history]
+    with TABLE.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(row for rows in curves.values() for row in rows)
+
+
+def draw(curves: dict[str, list[dict[str, str]]]) -> None:
+    """Share of clips tracked and mean link error against steps."""
+    for name, members in FIGURES.items():
+        figure, axes = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained")
+        for member in members:
+            rows = curves.get(member, [])
+            steps = [float(row["steps"]) / 1e6 for row in rows]
+            axes[0].plot(steps, [100 * float(r["tracked"]) for r in rows], label=member)
+            axes[1].plot(steps, [float(r["link_error_cm"]) for r in rows], label=member)
+        axes[0].set(xlabel="steps (M)", ylabel="clips tracked (%)", ylim=(0, 100))
+        axes[1].set(xlabel="steps (M)", ylabel="mean link error (cm)")
+        axes[1].set_ylim(bottom=0)
+        axes[0].legend(frameon=False)
+        for axis in axes:
+            axis.spines[["top", "right"]].set_visible(False)
+            axis.grid(alpha=0.25)
+        figure.savefig(IMAGES / name, dpi=110)
+        plt.close(figure)
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--add"]:
+        add(sys.argv[2], Path(sys.argv[3]))
+    draw(read())
