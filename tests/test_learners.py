@@ -211,6 +211,23 @@ def test_memory_forgets_the_oldest_states():
     assert torch.equal(memory.labels, 10 * memory.observations)
 
 
+def test_a_student_learns_the_same_on_one_thread_and_on_two():
+    weights = []
+    for threads in (1, 2):
+        env = FakeVecEnv(16)
+        teacher = PolicyAgent(small_ppo(env).policy, Needs(privileged=True))
+        teacher.bind(env)
+        torch.manual_seed(0)
+        sparse = Layout.of(env.layout).within(SPARSE_BLOCKS)
+        student = new_policy(PolicySpec(SPARSE_BLOCKS, (), (64,), "elu"), sparse)
+        dagger = Dagger(env, teacher, student, DaggerConfig(minibatch=64), 0, threads)
+        for _ in range(3):
+            dagger.iterate(nothing, 0.0)
+        weights.append(student.state_dict())
+    for name, tensor in weights[0].items():
+        assert torch.equal(tensor, weights[1][name]), name
+
+
 def trained_teacher(env: FakeVecEnv) -> PolicyAgent:
     ppo = small_ppo(env)
     while ppo.num_timesteps < 40_000:

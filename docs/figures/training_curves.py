@@ -1,7 +1,7 @@
 """Draws how teachers and students learnt, from the tables beside this file.
 
-    python docs/figures/training_curves.py                            # draws docs/images/training-*.png
-    python docs/figures/training_curves.py --add NAME runs/RUN/STAGE  # first takes a stage's curve in
+    python docs/figures/training_curves.py  # into docs/images
+    python docs/figures/training_curves.py --add NAME runs/RUN/STAGE  # takes in a curve first
 
 `curves.csv` has a row for every evaluation of a training on its fixed clips.
 """
