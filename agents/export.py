@@ -72,7 +72,7 @@ class TorqueController(nn.Module):
         obs, height_m = self.observation(*state), state[-1]
         action = self.actor(obs)
         if self.head is not None:
-            action = action + self.head(self.head.error(obs))
+            action = action + self.head(*self.head.terms(obs))
         strength = (height_m / DEFAULT_HEIGHT_M) ** self.torque_power
         return action.clamp(-1.0, 1.0) * self.torque_limits * strength
 

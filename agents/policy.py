@@ -13,7 +13,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.type_aliases import Schedule
 from torch import Tensor, nn
 
-from agents.spec import JOINT_BLOCK, REFERENCE_BLOCK, Layout, PolicySpec
+from agents.spec import JOINT_BLOCK, REFERENCE_BLOCK, TORQUE_BLOCK, Layout, PolicySpec
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "elu": nn.ELU, "silu": nn.SiLU}
 
@@ -116,21 +116,23 @@ def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:
 
 
 class TorqueHead(nn.Module):
-    """gain * (q_ref - q): the stiffness of the joints, as part of the torque policy.
+    """gain * (q_ref - q) + tau_ref: the stiffness of the joints, as part of the torque policy.
 
-    The action is still one torque a joint, held for one step; the gains are trained with the
-    network and stay positive.
+    ``tau_ref`` is what the reference motion takes by inverse dynamics; without a reference it and
+    ``q_ref`` are zero. The action is still one torque a joint, held for one step; the gains are
+    trained with the network and stay positive.
     """
 
     joint_columns: Tensor
     reference_columns: Tensor | None
+    torque_columns: Tensor | None
 
     def __init__(self, gains: np.ndarray, layout: Layout, reference: bool) -> None:
         super().__init__()
         self.log_gain = nn.Parameter(torch.as_tensor(np.log(gains), dtype=torch.float32))
         self.reference = reference
-        self.register_buffer("joint_columns", None, persistent=False)
-        self.register_buffer("reference_columns", None, persistent=False)
+        for name in ("joint_columns", "reference_columns", "torque_columns"):
+            self.register_buffer(name, None, persistent=False)
         self.use_layout(layout)
 
     def use_layout(self, layout: Layout) -> None:
@@ -138,23 +140,30 @@ class TorqueHead(nn.Module):
         self.joint_columns = torch.as_tensor(layout.columns((JOINT_BLOCK,)))
         if self.reference:
             self.reference_columns = torch.as_tensor(layout.columns((REFERENCE_BLOCK,)))
+            self.torque_columns = torch.as_tensor(layout.columns((TORQUE_BLOCK,)))
 
-    def error(self, obs: Tensor) -> Tensor:
-        """What the gains multiply: q_ref - q in radians ``(n, 33)`` of observations ``(n, D)``."""
+    def terms(self, obs: Tensor) -> tuple[Tensor, Tensor]:
+        """What of observations ``(n, D)`` the head needs: q_ref - q in radians, and tau_ref.
+
+        Both are ``(n, 33)``, tau_ref ``(n, 0)`` without a reference.
+        """
         error = -obs.index_select(1, self.joint_columns)
-        if self.reference_columns is not None:
-            error = error + obs.index_select(1, self.reference_columns)
-        return error
+        if self.reference_columns is None or self.torque_columns is None:
+            return error, obs[:, :0]
+        error = error + obs.index_select(1, self.reference_columns)
+        return error, obs.index_select(1, self.torque_columns)
 
-    def forward(self, error: Tensor) -> Tensor:
-        """Proportional part of the action ``(n, 33)`` for joint errors ``(n, 33)``."""
-        return self.log_gain.exp() * error
+    def forward(self, error: Tensor, torque: Tensor) -> Tensor:
+        """The head's part of the action ``(n, 33)`` for rows of ``terms``."""
+        action = self.log_gain.exp() * error
+        return action + torque if torque.shape[1] else action
 
 
 class TorquePolicy(ActorCriticPolicy):
     """Gaussian policy over torques in [-1, 1], for stable-baselines3's on-policy algorithms.
 
-    The mean is ``actor(o) + gain * (q_ref - q)``; it is not squashed: the environment clips.
+    The mean is ``actor(o) + gain * (q_ref - q) + tau_ref``; it is not squashed, the environment
+    clips it.
 
     Args:
         observation_space: box of shape ``(D,)``.
@@ -236,15 +245,16 @@ class TorquePolicy(ActorCriticPolicy):
         """Mean action ``(n, 33)``, not clipped, for observations ``(n, D)``."""
         return self.action_mean_of(*self.action_inputs(obs))
 
-    def action_inputs(self, obs: Tensor) -> tuple[Tensor, Tensor]:
-        """What the mean action depends on: the actor's inputs and the head's joint errors."""
-        error = self.head.error(obs) if self.head is not None else obs[:, :0]
-        return self.actor.inputs(obs), error
+    def action_inputs(self, obs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """What the mean action depends on: the actor's inputs and the terms of the head."""
+        none = obs[:, :0]
+        error, torque = (none, none) if self.head is None else self.head.terms(obs)
+        return self.actor.inputs(obs), error, torque
 
-    def action_mean_of(self, inputs: Tensor, error: Tensor) -> Tensor:
+    def action_mean_of(self, inputs: Tensor, error: Tensor, torque: Tensor) -> Tensor:
         """Mean action ``(n, 33)`` for rows of what ``action_inputs`` gave."""
         mean = self.actor.of_inputs(inputs)
-        return mean if self.head is None else mean + self.head(error)
+        return mean if self.head is None else mean + self.head(error, torque)
 
     def predict_values(self, obs: Tensor) -> Tensor:  # type: ignore[override]
         """Value ``(n, 1)`` of observations ``(n, D)``; zeros for a policy without critic."""

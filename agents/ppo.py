@@ -170,13 +170,13 @@ class AdaptivePPO(PPO):
             Policy loss of all steps; KL divergence and share of clipped ratios of the last epoch.
         """
         policy, clip = self.policy, float(self.clip_range(1))  # type: ignore[operator]
-        inputs, error = policy.action_inputs(self.rollout_buffer.flat_observations())
+        parts = policy.action_inputs(self.rollout_buffer.flat_observations())
         old_log_std = policy.log_std.detach().clone()
         policy.optimizer.param_groups[0]["lr"] = 0.0 if self.actor_frozen else self.actor_rate
         last_epoch = len(orders) - len(orders) // self.n_epochs
         total, last = torch.zeros(()), torch.zeros(2)
         for i, rows in enumerate(orders):
-            mean = policy.action_mean_of(inputs[rows], error[rows])
+            mean = policy.action_mean_of(*(part[rows] for part in parts))
             log_ratio = policy.log_prob(mean, targets.actions[rows]) - targets.log_probs[rows]
             ratio, advantages = log_ratio.exp(), targets.advantages[rows]
             gain = torch.minimum(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages)

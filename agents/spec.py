@@ -15,8 +15,11 @@ SPARSE_BLOCKS: tuple[str, ...] = ("o_sim", "o_user", "o_scale")
 TRACKER_BLOCKS: tuple[str, ...] = ("o_sim", "o_scale", "privileged")
 """What a full-body tracker sees: the reference itself instead of the devices."""
 
-JOINT_BLOCK, REFERENCE_BLOCK = "joint_angles", "reference_joint_angles"
+JOINT_BLOCK, REFERENCE_BLOCK = "joint_angles", "midway_joint_angles"
 """The blocks of joint angles that the torque head compares."""
+
+TORQUE_BLOCK = "reference_torques"
+"""The block that a torque head around the reference adds as it is."""
 
 # Exploration noise by joint: large where torques are large and mistakes are survived, small where
 # a light limb would only tremble (feasibility: 0.12 for legs and trunk, 0.04 for arms and neck).
@@ -39,8 +42,8 @@ class PolicySpec:
         hidden: widths of the hidden layers, of the actor and of the critic alike.
         activation: ``tanh``, ``elu`` or ``silu``.
         torque_head: whether to add the proportional term to the actor's output.
-        reference_head: whether the proportional term is around the reference pose (else around
-            the zero pose).
+        reference_head: whether the proportional term is around the reference pose and comes on top
+            of the torques that the motion takes (else it is around the zero pose).
     """
 
     actor_blocks: tuple[str, ...] = SPARSE_BLOCKS

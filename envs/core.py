@@ -276,7 +276,8 @@ class BatchSim:
         kernels.observe(
             first, last, ids, self.qpos, self.qvel, self._xpos, self._xquat, self._cvel,
             self._com, self.contact_force, self.frame, self._end, self._ratio, self.heights,
-            reference.qpos, reference.qvel, reference.position, reference.quat,
+            reference.qpos, reference.qvel, reference.position, reference.quat, reference.velocity,
+            reference.angular_velocity, reference.torque,
             reference.dev_position, reference.dev_quat,
             self._user_offsets, self._privileged, self._floor, self.observation,
         )  # fmt: skip

@@ -33,6 +33,20 @@ def _columns(c, s, w, x, y, z, out, at):
 
 
 @_jit
+def _turn_between(c, s, p, q, out, at):
+    """Write the turn from quaternion p to q, 2 sin(angle / 2) times its axis in S, to out[at:]."""
+    w = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
+    two = 2.0 if w >= 0.0 else -2.0
+    _turn_back(
+        c, s,
+        two * (p[0] * q[1] - p[1] * q[0] - p[3] * q[2] + p[2] * q[3]),
+        two * (p[0] * q[2] - p[2] * q[0] - p[1] * q[3] + p[3] * q[1]),
+        two * (p[0] * q[3] - p[3] * q[0] - p[2] * q[1] + p[1] * q[2]),
+        out, at,
+    )  # fmt: skip
+
+
+@_jit
 def _heading(w, x, y, z):
     """Cosine and sine of the heading of a quaternion."""
     forward_x = 1 - 2 * (y * y + z * z)
@@ -46,8 +60,8 @@ def _heading(w, x, y, z):
 @_jit
 def observe(
     first, last, ids, qpos, qvel, xpos, xquat, cvel, com, force, frame, end, ratio, height,
-    ref_qpos, ref_qvel, ref_position, ref_quat, dev_position, dev_quat,
-    offsets, privileged, floor, obs,
+    ref_qpos, ref_qvel, ref_position, ref_quat, ref_velocity, ref_angular_velocity, ref_torque,
+    dev_position, dev_quat, offsets, privileged, floor, obs,
 ):  # fmt: skip
     """Fill ``obs[ids[first:last]]``.
 
@@ -59,7 +73,8 @@ def observe(
         frame, end: ``(n,)`` reference row now, and one past the clip's last row.
         ratio: ``(n,)`` body height over 1.75 m; reference lengths are of the 1.75 m body.
         height: ``(n,)`` metres.
-        ref_*, dev_*: reference rows of all clips, one after the other.
+        ref_*, dev_*: reference rows of all clips, one after the other; ``ref_torque`` is empty
+            where nothing is privileged.
         offsets: ``(k,)`` frames ahead of each block of o_user.
         privileged: ``(p,)`` frames ahead of each privileged block.
         floor: ``(n,)`` height of the floor below the root, metres.
@@ -132,6 +147,36 @@ def observe(
                     ref_quat[row, b, 3], out, at + 3 * links + 6 * b,
                 )  # fmt: skip
             at += 9 * links
+        if privileged.shape[0] > 0:
+            row, after = frame[i], min(frame[i] + 1, end[i] - 1)
+            for j in range(dofs):
+                out[at + j] = 0.5 * (ref_qpos[row, 7 + j] + ref_qpos[after, 7 + j])
+                # Of limits that grow as s^3; what gravity asks of a body grows as s^4.
+                torque = 0.5 * (ref_torque[row, j] + ref_torque[after, j])
+                out[at + dofs + j] = scale * torque
+            at += 2 * dofs
+            for b in range(links):
+                x, y, z = xpos[i, b + 1, 0], xpos[i, b + 1, 1], xpos[i, b + 1, 2]
+                _turn_back(
+                    c, s, ref_position[row, b, 0] * scale - x, ref_position[row, b, 1] * scale - y,
+                    ref_position[row, b, 2] * scale - z, out, at,
+                )  # fmt: skip
+                _turn_between(c, s, xquat[i, b + 1], ref_quat[row, b], out, at + 3)
+                wx, wy, wz = cvel[i, b + 1, 0], cvel[i, b + 1, 1], cvel[i, b + 1, 2]
+                rx, ry, rz = x - com_x, y - com_y, z - com_z
+                _turn_back(
+                    c, s,
+                    ref_velocity[row, b, 0] * scale - (cvel[i, b + 1, 3] + wy * rz - wz * ry),
+                    ref_velocity[row, b, 1] * scale - (cvel[i, b + 1, 4] + wz * rx - wx * rz),
+                    ref_velocity[row, b, 2] * scale - (cvel[i, b + 1, 5] + wx * ry - wy * rx),
+                    out, at + 6,
+                )  # fmt: skip
+                _turn_back(
+                    c, s, ref_angular_velocity[row, b, 0] - wx,
+                    ref_angular_velocity[row, b, 1] - wy, ref_angular_velocity[row, b, 2] - wz,
+                    out, at + 9,
+                )  # fmt: skip
+                at += 12
 
 
 @_jit

@@ -16,7 +16,11 @@ def observation_layout(config: EnvConfig) -> dict[str, slice]:
     All in the frame S: on the floor below the root, turned with its heading (QuestSim section
     3). ``o_sim`` is 312 numbers, ``o_user`` frames x devices x (position 3, orientation 6),
     ``o_scale`` the height. ``"privileged"``, if the config asks for it, follows; of its first
-    block ``"reference_joint_angles"`` is the next frame's 33 angles.
+    block ``"reference_joint_angles"`` is the next frame's 33 angles. It ends with what a tracker's
+    head adds up: ``"midway_joint_angles"``, 33 between this frame and the next, and
+    ``"reference_torques"``, what the motion takes meanwhile by inverse dynamics, as actions; and
+    with ``"tracking_errors"``: of each link, reference less avatar now in place, orientation (2
+    sin(angle / 2) times the axis), velocity and angular velocity.
     """
     layout: dict[str, slice] = {}
     at = 0
@@ -38,9 +42,14 @@ def observation_layout(config: EnvConfig) -> dict[str, slice]:
     layout["o_scale"] = slice(at, at + 1)
     at += 1
     if config.privileged:
-        size = len(config.privileged_frames) * (2 * NUM_DOFS + 9 * NUM_LINKS)
-        layout["privileged"] = slice(at, at + size)
+        frames = len(config.privileged_frames) * (2 * NUM_DOFS + 9 * NUM_LINKS)
+        layout["privileged"] = slice(at, at + frames + 2 * NUM_DOFS + 12 * NUM_LINKS)
         layout["reference_joint_angles"] = slice(at, at + NUM_DOFS)
+        at += frames
+        layout["midway_joint_angles"] = slice(at, at + NUM_DOFS)
+        layout["reference_torques"] = slice(at + NUM_DOFS, at + 2 * NUM_DOFS)
+        at += 2 * NUM_DOFS
+        layout["tracking_errors"] = slice(at, at + 12 * NUM_LINKS)
     return layout
 
 

@@ -11,7 +11,9 @@ from envs.config import EnvConfig
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
+from questsim.motion.inverse_dynamics import reference_torques
 from questsim.sensors import device_poses, sensor_set
+from questsim.skeleton import NUM_DOFS
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,10 @@ class Reference:
         names, kinds: of each clip.
         heights: ``(C,)`` stature in metres of each clip's own body.
         start, end: ``(C,)`` first row of each clip, and one past its last.
-        qpos, qvel: ``(F, 40)``, ``(F, 39)``; position, quat, velocity: ``(F, 16, ...)``.
+        qpos, qvel: ``(F, 40)``, ``(F, 39)``.
+        position, quat, velocity, angular_velocity: ``(F, 16, ...)``.
+        torque: ``(F, 33)`` what the motion takes, as shares of the joints' limits; ``(0, 33)``
+            unless the config is privileged.
         dev_position, dev_quat: ``(F, D, ...)`` poses of the devices the policy sees.
     """
 
@@ -36,6 +41,8 @@ class Reference:
     position: np.ndarray
     quat: np.ndarray
     velocity: np.ndarray
+    angular_velocity: np.ndarray
+    torque: np.ndarray
     dev_position: np.ndarray
     dev_quat: np.ndarray
 
@@ -75,6 +82,12 @@ class Reference:
             position=rows([clip.link_position for clip in common]),
             quat=rows([clip.link_quat for clip in common]),
             velocity=rows([clip.link_velocity for clip in common]),
+            angular_velocity=rows([clip.link_angular_velocity for clip in common]),
+            torque=(
+                reference_torques(common, config.body_preset)
+                if config.privileged
+                else np.zeros((0, NUM_DOFS), np.float32)
+            ),
             dev_position=rows([position for position, _ in devices]),
             dev_quat=rows([quat for _, quat in devices]),
         )

@@ -17,8 +17,10 @@ BLOCKS = {
     "o_sim": (0, 66),
     "o_user": (66, 99),
     "o_scale": (99, 100),
+    "privileged": (100, 166),
     "reference_joint_angles": (100, 133),
-    "privileged": (100, 133),
+    "midway_joint_angles": (100, 133),
+    "reference_torques": (133, 166),
 }
 
 
@@ -34,7 +36,7 @@ class FakeVecEnv(VecEnv):
         self.layout = {name: slice(*block) for name, block in BLOCKS.items()}
         super().__init__(
             num_envs,
-            spaces.Box(-np.inf, np.inf, (133,), np.float32),
+            spaces.Box(-np.inf, np.inf, (166,), np.float32),
             spaces.Box(-1.0, 1.0, (NUM_DOFS,), np.float32),
         )
         self.rng = np.random.default_rng(seed)
@@ -53,7 +55,8 @@ class FakeVecEnv(VecEnv):
     def observe(self) -> np.ndarray:
         future = self.reference(1)
         scale = np.full((self.num_envs, 1), 1.75)
-        obs = np.concatenate([self.q, self.qdot, future, scale, future], axis=1)
+        torques = np.zeros_like(self.q)
+        obs = np.concatenate([self.q, self.qdot, future, scale, future, torques], axis=1)
         return obs.astype(np.float32)
 
     def _restart(self, which: np.ndarray) -> None:

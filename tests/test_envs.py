@@ -20,6 +20,7 @@ from questsim import reward
 from questsim import rotations as rot
 from questsim.body import build_body
 from questsim.errors import InputError
+from questsim.motion.inverse_dynamics import reference_torques
 from questsim.sensors import SENSOR_SETS, SensorNoise, device_poses
 from questsim.skeleton import LINKS
 
@@ -213,6 +214,42 @@ def test_a_falling_avatar_terminates_and_a_finished_clip_truncates() -> None:
     assert infos[0]["TimeLimit.truncated"] and not infos[0]["fell"]
     assert infos[0]["episode"]["l"] == step
     assert not np.array_equal(infos[0]["terminal_observation"], obs[0])
+
+
+def test_a_tracker_sees_the_pose_midway_and_what_the_motion_takes() -> None:
+    sim = BatchSim(CLIPS[:1], EnvConfig(fixed_start=True, privileged=True, heights=(1.4, 1.4)))
+    sim.reset()
+    sim.step(np.zeros((1, 33)))
+    clip, seen = CLIPS[0].scaled(1.75), sim.observation[0]
+    midway, takes = clip.qpos[1:3, 7:].mean(0), reference_torques([clip])[1:3].mean(0)
+    np.testing.assert_allclose(seen[sim.layout["midway_joint_angles"]], midway, atol=1e-5)
+    np.testing.assert_allclose(seen[sim.layout["reference_torques"]], 0.8 * takes, atol=1e-5)
+
+
+def test_a_tracker_sees_what_each_link_lacks() -> None:
+    sim = BatchSim(CLIPS[:1], EnvConfig(fixed_start=True, privileged=True, heights=(1.6, 1.6)))
+    sim.reset()
+    part = sim.layout["tracking_errors"]
+    assert np.abs(sim.observation[0, part]).max() < 0.01  # it begins on the reference
+    for _ in range(3):
+        sim.step(np.zeros((1, 33)))
+    errors = sim.observation[0, part].reshape(16, 12)
+    clip = CLIPS[0].scaled(1.6)
+    from_s = rot.yaw_quat(rot.heading(sim.qpos[0, 3:7]))
+    velocity, data = np.zeros((16, 6)), sim.batch.get_data(0)
+    for b in range(16):
+        kind = mujoco.mjtObj.mjOBJ_XBODY
+        mujoco.mj_objectVelocity(build_body(1.6).model, data, kind, b + 1, velocity[b], 0)
+    turn = rot.quat_multiply(clip.link_quat[3], rot.quat_conjugate(sim.link_quats[0]))
+    turn = turn * np.sign(turn[:, :1])
+    for column, expected in (
+        (0, clip.link_position[3] - sim.link_positions[0]),
+        (3, 2.0 * turn[:, 1:]),
+        (6, clip.link_velocity[3] - velocity[:, 3:]),
+        (9, clip.link_angular_velocity[3] - velocity[:, :3]),
+    ):
+        seen = rot.quat_rotate(from_s, errors[:, column : column + 3])
+        np.testing.assert_allclose(seen, expected, atol=2e-3)
 
 
 def test_heights_are_spread_and_clips_scaled_to_them() -> None:

@@ -66,14 +66,16 @@ def test_normaliser_clips_outliers_and_spares_constant_inputs():
     assert norm(torch.tensor([[9.0]])).item() == 10.0
 
 
-def test_head_pulls_joints_to_the_reference_pose(env):
+def test_head_pulls_joints_to_the_reference_pose_and_adds_what_the_motion_takes(env):
     gains = np.linspace(0.5, 3.0, NUM_DOFS)
     policy = silence(policy_for(env, TEACHER, gains=gains))
     obs = env.reset()
     env.q += 0.01
     obs = env.observe()
-    q, reference = obs[:, env.layout["joint_angles"]], obs[:, env.layout["reference_joint_angles"]]
-    np.testing.assert_allclose(policy.predict_batch(obs), gains * (reference - q), rtol=1e-4)
+    obs[:, env.layout["reference_torques"]] = np.linspace(-0.3, 0.3, NUM_DOFS)
+    q, reference = obs[:, env.layout["joint_angles"]], obs[:, env.layout["midway_joint_angles"]]
+    expected = gains * (reference - q) + np.linspace(-0.3, 0.3, NUM_DOFS)
+    np.testing.assert_allclose(policy.predict_batch(obs), expected, rtol=1e-4, atol=1e-6)
 
 
 def test_head_of_a_sparse_policy_pulls_to_the_zero_pose(env):
@@ -93,9 +95,9 @@ def test_actions_stay_within_the_torque_limits(env):
     assert np.abs(policy.predict_batch(env.reset())).max() == 1.0
 
 
-def test_start_gains_are_four_times_the_damping_over_40_ms():
+def test_start_gains_are_four_times_the_damping_over_80_ms():
     gains = initial_gains(np.array([200.0, 20.0, 50.0]), np.array([5.0, 0.4, 0.0]))
-    np.testing.assert_allclose(gains, [500 / 200, 40 / 20, 0.01])
+    np.testing.assert_allclose(gains, [250 / 200, 20 / 20, 0.01])
 
 
 def test_exploration_is_larger_in_legs_and_trunk():

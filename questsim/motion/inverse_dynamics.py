@@ -1,0 +1,121 @@
+"""The joint torques that a motion takes: inverse dynamics, with the floor carrying the root."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from scipy.optimize import nnls
+
+from questsim.assets import mjcf_path
+from questsim.body import DEFAULT_HEIGHT_M, build_body
+from questsim.files import whole_file
+from questsim.motion.clip import FPS, Clip
+from questsim.motion.datasets import cache_dir
+from questsim.motion.kinematics import sole_points
+from questsim.skeleton import FOOT_LINKS, NUM_DOFS
+
+FRICTION = 0.8
+"""Of the pyramid of forces that the floor may give; the simulated floor has 1."""
+
+CONTACT_HEIGHT_M = 0.015
+"""A sole point lower than this can bear."""
+
+ROOT_WEIGHTS = np.array([1.0, 1.0, 1.0, 3.0, 3.0, 3.0])
+"""A newton metre that the floor does not give to the root counts as three newtons."""
+
+SPREAD = 0.05
+"""Weight of the forces themselves: of many ways to stand, the one that loads all points."""
+
+# Each force is a sum of these edges of the friction pyramid, by factors that are not negative.
+EDGES = np.array(
+    [[FRICTION, 0.0, 1.0], [-FRICTION, 0.0, 1.0], [0.0, FRICTION, 1.0], [0.0, -FRICTION, 1.0]]
+)
+VERSION = b"1"
+"""Part of the name of what is kept: a change of the method computes it again."""
+
+
+class InverseDynamics:
+    """Torques on the body of one height and preset.
+
+    Accelerations are differences of the clip's velocities. What the root would need is given by
+    forces at sole points near the floor, inside a friction pyramid, by non-negative least
+    squares (Lawson & Hanson 1974); what they cannot give, in flight or where the capture is not
+    physical, is left out. Passive damping and armature are counted in.
+
+    Args:
+        height_m: stature in metres.
+        preset: of the body.
+    """
+
+    def __init__(self, height_m: float = DEFAULT_HEIGHT_M, preset: str = "default") -> None:
+        # A copy: the floor and the joints' ranges do not take part, forces are found here.
+        self._model = copy.copy(build_body(height_m, preset).model)
+        self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+        self._data = mujoco.MjData(self._model)
+        self._soles = sole_points() * height_m / DEFAULT_HEIGHT_M
+        self._jacobian = np.zeros((3, self._model.nv))
+
+    def torques(self, clip: Clip) -> np.ndarray:
+        """Joint torques in N m ``(T, 33)`` at each frame of a clip of this height."""
+        acceleration = np.gradient(clip.qvel, 1.0 / FPS, axis=0)
+        return np.stack(
+            [
+                self._at(qpos, qvel, qacc)
+                for qpos, qvel, qacc in zip(clip.qpos, clip.qvel, acceleration, strict=True)
+            ]
+        )
+
+    def _at(self, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray) -> np.ndarray:
+        model, data = self._model, self._data
+        data.qpos[:], data.qvel[:], data.qacc[:] = qpos, qvel, qacc
+        mujoco.mj_inverse(model, data)
+        force = np.array(data.qfrc_inverse)
+        jacobians = []
+        for foot, points in zip(FOOT_LINKS, self._soles, strict=True):
+            turn = data.xmat[foot + 1].reshape(3, 3)
+            for point in data.xpos[foot + 1] + points @ turn.T:
+                if point[2] < CONTACT_HEIGHT_M:
+                    mujoco.mj_jac(model, data, self._jacobian, None, point, foot + 1)
+                    jacobians.append(EDGES @ self._jacobian)
+        if jacobians:
+            edges = np.concatenate(jacobians)
+            root = edges[:, :6].T * ROOT_WEIGHTS[:, None]
+            wanted = np.concatenate([force[:6] * ROOT_WEIGHTS, np.zeros(len(edges))])
+            factors, _ = nnls(np.vstack([root, SPREAD * np.eye(len(edges))]), wanted)
+            force -= edges.T @ factors
+        return force[6:]
+
+
+def reference_torques(clips: Sequence[Clip], preset: str = "default") -> np.ndarray:
+    """Torques of clips of the 1.75 m body over its torque limits, one clip after the other.
+
+    They take a tenth of a millisecond a frame and are kept in the cache folder.
+
+    Args:
+        clips: of 1.75 m.
+        preset: of the body.
+
+    Returns:
+        ``(F, 33)`` float32, as shares of each joint's limit.
+    """
+    digest = hashlib.sha256(VERSION + preset.encode())
+    digest.update(mjcf_path("humanoid.xml").read_bytes())
+    for clip in clips:
+        digest.update(np.ascontiguousarray(clip.qpos, "<f8").tobytes())
+    path = cache_dir() / "torques" / f"{digest.hexdigest()[:32]}.npy"
+    if path.exists():
+        kept = np.load(path, allow_pickle=False)
+        if kept.shape == (sum(map(len, clips)), NUM_DOFS):
+            return kept
+    dynamics, limits = InverseDynamics(preset=preset), build_body(preset=preset).torque_limits
+    torques = np.concatenate([dynamics.torques(clip) / limits for clip in clips])
+    torques = torques.astype(np.float32)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as fresh, fresh.open("wb") as file:
+        np.save(file, torques)
+    return torques
