@@ -15,7 +15,7 @@ COURSE = "course"
 DIRECTIONS = ("any", "up", "down", "across")
 MARGIN_M = 1.5
 """Clips keep this far from the edge."""
-_FINE_M, _PLANE_CELL_M = 0.1, 1.0
+_FINE_M, _SLOPE_CELL_M = 0.1, 1.0
 _SEAM_M = 1.0
 """Tiles of a course sink to the floor over this distance at their edges."""
 
@@ -116,11 +116,11 @@ class Terrain:
     @property
     def cell_m(self) -> float:
         """Distance of grid points: as coarse as the shape allows, since small cells are slow."""
-        if self.kind in ("flat", "slope"):
-            return _PLANE_CELL_M
+        if self.kind == "slope":
+            return _SLOPE_CELL_M
         if self.kind == "rough":
             return 0.5 * self.wavelength_m
-        if self.kind == "waves":
+        if self.kind in ("waves", "flat"):
             return max(_FINE_M, self.wavelength_m / 8.0)
         return _FINE_M
 
