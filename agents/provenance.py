@@ -85,12 +85,14 @@ def stages_behind(folder: Path) -> list[StagePart]:
         return _shipped_stages(folder, training)
     run = run_of(folder)
     stage, earlier = training["stage"], list[StagePart]()
+    start = read_run(run)["args"].get("start")
     if stage in STAGES[1:]:
         before = STAGES[STAGES.index(stage) - 1]
         teacher = read_run(run)["args"].get("teacher")
         where = Path(teacher) if teacher and before == "teacher" else run / before
+        if start and stage == "finetune":
+            where = Path(start)
         earlier = stages_behind(find_policy(where))
-    start = read_run(run)["args"].get("start")
     if stage == "teacher" and start:
         earlier = stages_behind(find_policy(Path(start)))
     last = run / stage / "last"

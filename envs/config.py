@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
+from envs.objects import WorldObject
+from envs.pushes import Pushes
+from envs.randomisation import Randomisation
+from envs.terrain import Terrain, terrain_named
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
 from questsim.errors import InputError
 from questsim.reward import RewardConfig
@@ -33,6 +39,12 @@ class EnvConfig:
         sampling: ``"uniform"`` over frames, or ``"failure"``: clips and moments that end in
             falls come more often.
         noise: imperfections of the devices, drawn once for each clip.
+        terrain: the ground; None for a plane. Clips are played at places drawn for each episode,
+            and with ``fixed_start`` at the same place every time.
+        height_scan: append the heights of the ground around the avatar to the observation.
+        pushes: forces on the avatar at random times, None for none.
+        objects: things in its way.
+        randomisation: what differs between the simulations of a batch, None for nothing.
     """
 
     sensors: str = "H+2C"
@@ -47,6 +59,11 @@ class EnvConfig:
     self_collision: bool = False
     sampling: str = "uniform"
     noise: SensorNoise | None = None
+    terrain: Terrain | None = None
+    height_scan: bool = False
+    pushes: Pushes | None = None
+    objects: tuple[WorldObject, ...] = ()
+    randomisation: Randomisation | None = None
 
     def __post_init__(self) -> None:
         imus = [name for name in sensor_set(self.sensors) if DEVICES[name].kind == "imu"]
@@ -75,3 +92,15 @@ class EnvConfig:
     def frame_offsets(self) -> tuple[int, ...]:
         """Frames ahead of the present that o_user shows."""
         return tuple(range(1, self.future_frames + 1)) or (0,)
+
+
+def config_from(options: Mapping[str, Any]) -> EnvConfig:
+    """A config of keyword options, of which ``terrain`` may be a name: ``"rough:seed=3"``.
+
+    Raises:
+        InputError: an option's value cannot be used.
+    """
+    options = dict(options)
+    if isinstance(options.get("terrain"), str):
+        options["terrain"] = terrain_named(options["terrain"])
+    return EnvConfig(**options)

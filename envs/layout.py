@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from envs.config import EnvConfig
 from questsim.sensors import sensor_set
 from questsim.skeleton import FEET, NUM_DOFS, NUM_LINKS
 
 POSE_SIZE = 9
 """A device's position and the first two columns of its rotation matrix."""
+_SCAN_FORWARD_M = np.linspace(-0.5, 1.0, 11)
+_SCAN_LEFT_M = np.linspace(-0.45, 0.45, 7)
+SCAN_POINTS = np.stack(np.meshgrid(_SCAN_FORWARD_M, _SCAN_LEFT_M, indexing="ij"), -1).reshape(-1, 2)
+"""Where the height scan looks, ``(77, 2)`` in S in metres: 15 cm apart, row by row from behind."""
 
 
 def observation_layout(config: EnvConfig) -> dict[str, slice]:
@@ -21,6 +27,7 @@ def observation_layout(config: EnvConfig) -> dict[str, slice]:
     ``"reference_torques"``, what the motion takes meanwhile by inverse dynamics, as actions; and
     with ``"tracking_errors"``: of each link, reference less avatar now in place, orientation (2
     sin(angle / 2) times the axis), velocity and angular velocity.
+    ``"height_scan"``, likewise if asked for, is the height of the ground at ``SCAN_POINTS``.
     """
     layout: dict[str, slice] = {}
     at = 0
@@ -50,6 +57,9 @@ def observation_layout(config: EnvConfig) -> dict[str, slice]:
         layout["reference_torques"] = slice(at + NUM_DOFS, at + 2 * NUM_DOFS)
         at += 2 * NUM_DOFS
         layout["tracking_errors"] = slice(at, at + 12 * NUM_LINKS)
+        at += 12 * NUM_LINKS
+    if config.height_scan:
+        layout["height_scan"] = slice(at, at + len(SCAN_POINTS))
     return layout
 
 
