@@ -32,6 +32,10 @@ class Command(NamedTuple):
 
 
 COMMANDS: dict[str, Command] = {
+    "demo": Command(
+        "agents.live.commands", "demo", "DemoArgs",
+        "watch a policy follow a user: a page for the browser",
+    ),
     "motions import": Command(
         "questsim.motion.commands", "import_motions", "ImportArgs",
         "read BVH and npz files into a library of clips",

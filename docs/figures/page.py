@@ -1,0 +1,88 @@
+"""Photograph the demo's page: ``python -m docs.figures.page --agent demo``.
+
+Chromium opens the page as a viewer would; the picture is taken after ``--seconds`` of the clip, a
+little after a push.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from PIL import Image
+
+from agents.live.commands import demo_session, watch
+from questsim.cli import guarded
+from questsim.viewing.live import Session
+from questsim.viewing.page import Page
+from questsim.viewing.page_server import LOOPBACK
+from tests.browser import browser_page
+
+
+@dataclass(frozen=True)
+class PictureArgs:
+    """Photograph the demo's page."""
+
+    agent: str = "demo"
+    """A shipped policy's name, a run folder or a policy folder."""
+    motions: str = "synthetic"
+    """Where to look the clip up."""
+    clip: str | None = None
+    """The clip to follow; by default the first of the motions."""
+    terrain: str = "flat"
+    """One of the page's terrains."""
+    seconds: float = 2.0
+    """When in the clip the picture is taken."""
+    push_n: float = 60.0
+    """Force of the push just before, in newtons; 0 for none."""
+    width: int = 1280
+    """Of the window in pixels."""
+    height: int = 800
+    """Of the window in pixels."""
+    out: Path = Path("docs/images/page.png")
+    """The picture."""
+
+
+def take(args: PictureArgs) -> None:
+    """Serve the page, look at it in a browser, write the picture."""
+    stop = threading.Event()
+    with Page(LOOPBACK, 0) as page:
+        session = demo_session(args.agent, args.motions, args.clip)
+        session.change(terrain=args.terrain)
+        session.pause(True)
+        server = threading.Thread(target=watch, args=(page, session, stop))
+        server.start()
+        try:
+            with browser_page(page.address, args.width, args.height) as browser:
+                picture = _photograph(browser, session, args)
+        finally:
+            stop.set()
+            server.join()
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    args.out.write_bytes(picture)
+    Image.open(args.out).convert("RGB").save(args.out, optimize=True)
+    print(args.out, f"{args.out.stat().st_size / 1000:.0f} kB")
+
+
+def _photograph(browser: Any, session: Session, args: PictureArgs) -> bytes:
+    browser.get_by_text("Pause").first.wait_for()
+    close = browser.locator("button.mantine-Notification-closeButton")
+    for _ in range(close.count()):  # viser's note on drawing in software
+        close.first.click()
+    session.pause(False)
+    while session.snapshot().time_s < args.seconds - 0.15 or session.snapshot().outcome:
+        browser.wait_for_timeout(5)
+    if args.push_n:
+        session.push(args.push_n, 90.0)
+    while session.snapshot().time_s < args.seconds:
+        browser.wait_for_timeout(5)
+    session.pause(True)
+    browser.wait_for_timeout(4000)
+    return browser.screenshot()
+
+
+if __name__ == "__main__":
+    raise SystemExit(guarded(lambda: take(tyro.cli(PictureArgs))))

@@ -1,0 +1,191 @@
+"""What a running simulation shows to those who watch it, and what they may ask of it.
+
+Viewers know a simulation only by this: what is behind it, agents and environments, is in
+``agents/live``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from questsim.body import DEFAULT_HEIGHT_M
+
+SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0)
+"""How fast time may go, as multiples of real time."""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A floor that is not flat, as a grid of heights.
+
+    Attributes:
+        heights: ``(rows, columns)`` metres; rows go along y, columns along x, both upwards.
+        centre: ``(2,)`` x and y of the middle of the grid in metres.
+        half_size: ``(2,)`` metres from the middle to the edges along x and y.
+    """
+
+    heights: np.ndarray
+    centre: tuple[float, float]
+    half_size: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What a picture needs that seldom changes.
+
+    Attributes:
+        number: grows with every change.
+        height_m: the avatar's stature.
+        ground: the floor; None for a flat one at z = 0.
+        ball_radius_m: of the ball, None without one.
+    """
+
+    number: int
+    height_m: float = DEFAULT_HEIGHT_M
+    ground: Ground | None = None
+    ball_radius_m: float | None = None
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """One moment of a simulation.
+
+    Attributes:
+        stage: what it stands on.
+        step: steps since the session began; every snapshot of a moment has one of its own.
+        time_s: seconds since the clip's first frame.
+        duration_s: of the clip.
+        position, quat: ``(16, 3)`` metres and ``(16, 4)`` wxyz, the avatar's links.
+        reference_position, reference_quat: the same of the person that it follows.
+        device_position, device_quat: ``(D, 3)``, ``(D, 4)`` of the user's devices.
+        contact_force: ``(2, 3)`` newtons that the floor gives to the left and the right foot.
+        qpos, reference_qpos: ``(40,)`` both poses, as pictures take them.
+        error_m: mean distance of the links from the reference.
+        push_n: ``(3,)`` the force of a push on the chest now, or zeros.
+        ball: ``(3,)`` where the ball is and ``(4,)`` its orientation, or None.
+        outcome: ``""``, ``"fell"`` or ``"completed"``.
+        paused: whether time stands still.
+        note: about the agent, such as the age of its checkpoint.
+    """
+
+    stage: Stage
+    step: int
+    time_s: float
+    duration_s: float
+    position: np.ndarray
+    quat: np.ndarray
+    reference_position: np.ndarray
+    reference_quat: np.ndarray
+    device_position: np.ndarray
+    device_quat: np.ndarray
+    contact_force: np.ndarray
+    qpos: np.ndarray
+    reference_qpos: np.ndarray
+    error_m: float
+    push_n: np.ndarray
+    ball: tuple[np.ndarray, np.ndarray] | None = None
+    outcome: str = ""
+    paused: bool = False
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a viewer can choose.
+
+    Attributes:
+        clip, agent, sensors, terrain: names out of ``Choices``.
+        roughness_cm: how rough the terrain is, within ``Choices.roughness_cm``.
+        height_m: stature of user and avatar.
+        speed: how fast time goes; 1 is real time.
+        ball: whether a ball is there to be kicked.
+    """
+
+    clip: str
+    agent: str
+    sensors: str = "H+2C"
+    terrain: str = "flat"
+    roughness_cm: float = 4.0
+    height_m: float = DEFAULT_HEIGHT_M
+    speed: float = 1.0
+    ball: bool = False
+
+
+@dataclass(frozen=True)
+class Choices:
+    """The values that a viewer can choose from; ``sensors`` are those the present agent can use."""
+
+    clips: tuple[str, ...]
+    agents: tuple[str, ...]
+    sensors: tuple[str, ...]
+    terrains: tuple[str, ...] = ("flat",)
+    roughness_cm: tuple[float, float] = (0.0, 0.0)
+    ball: bool = False
+
+
+@dataclass
+class Trace:
+    """The last seconds of a session as curves.
+
+    Attributes:
+        seconds: how much is kept.
+        rows: time since the first row (s), error (cm), force on the left and right foot (N).
+    """
+
+    seconds: float = 10.0
+    rows: list[tuple[float, float, float, float]] = field(default_factory=list)
+
+    def add(self, snapshot: Snapshot, fps: float) -> None:
+        """Take in a moment; moments that were taken in already are left out."""
+        time = snapshot.step / fps
+        if self.rows and time <= self.rows[-1][0]:
+            return
+        left, right = np.linalg.norm(snapshot.contact_force, axis=-1)
+        self.rows.append((time, 100.0 * snapshot.error_m, float(left), float(right)))
+        while self.rows[0][0] < time - self.seconds:
+            self.rows.pop(0)
+
+    def columns(self) -> tuple[np.ndarray, ...]:
+        """Times, errors and both forces, ``(n,)`` each."""
+        return tuple(np.array(column) for column in zip(*self.rows, strict=True))
+
+
+class Session(Protocol):
+    """A simulation that can be watched and asked for things; every method from any thread."""
+
+    @property
+    def settings(self) -> Settings:
+        """The present settings."""
+        ...
+
+    @property
+    def choices(self) -> Choices:
+        """What can be chosen now."""
+        ...
+
+    def snapshot(self) -> Snapshot:
+        """The present moment."""
+        ...
+
+    def change(self, **settings: Any) -> Settings:
+        """Change some settings; all of them or, after an ``InputError``, none."""
+        ...
+
+    def pause(self, paused: bool) -> None:
+        """Let time stand still or go on."""
+        ...
+
+    def step_once(self) -> None:
+        """Pause, and go on by one step."""
+        ...
+
+    def restart(self) -> None:
+        """Begin the clip again."""
+        ...
+
+    def push(self, force_n: float, direction_deg: float) -> None:
+        """Push the avatar's chest for a moment: 0 degrees pushes it forwards, 90 to its left."""
+        ...

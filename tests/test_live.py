@@ -1,0 +1,243 @@
+"""A live session does what viewers ask, refuses what it cannot do, and goes on."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+from helpers import swaying_clip
+
+from agents.agent import ZeroAgent, load_agent
+from agents.live.drivers import TorqueDriver, usable_sensors
+from agents.live.runner import Runner
+from agents.live.session import AFTER_FALL_S, DemoSession
+from questsim.errors import InputError
+from questsim.motion.clip import FPS
+from questsim.skeleton import LINKS
+from questsim.viewing.live import Settings, Trace
+
+DRIVERS = {
+    "demo": lambda: TorqueDriver(load_agent("demo")),
+    "zero": lambda: TorqueDriver(ZeroAgent()),
+}
+
+
+def session(agent: str = "demo", **settings) -> DemoSession:
+    clips = [swaying_clip("first", frames=144), swaying_clip("second", frames=54)]
+    return DemoSession(clips, DRIVERS, Settings("first", agent, **settings))
+
+
+def advance(live: DemoSession, steps: int):
+    for _ in range(steps):
+        live.advance()
+    return live.snapshot()
+
+
+def test_time_goes_on_by_one_frame_a_step():
+    live = session()
+    assert live.snapshot().time_s == 0.0
+    assert advance(live, 36).time_s == 1.0
+
+
+def test_a_paused_session_stands_still_and_steps_singly():
+    live = session()
+    live.pause(True)
+    assert not live.advance() and live.snapshot().paused
+    live.step_once()
+    assert live.advance() and not live.advance()
+    assert live.snapshot().step == 1
+    live.pause(False)
+    assert advance(live, 3).step == 4
+
+
+def test_a_snapshot_keeps_its_moment():
+    live = session()
+    before = live.snapshot()
+    position = before.position.copy()
+    advance(live, 10)
+    np.testing.assert_array_equal(before.position, position)
+
+
+def test_the_reference_and_the_devices_are_those_of_the_clip():
+    live = session(height_m=1.6)
+    shown = advance(live, 10)
+    clip = swaying_clip("first", frames=144).scaled(1.6)
+    np.testing.assert_allclose(shown.reference_position, clip.link_position[10])
+    head = shown.reference_position[LINKS.index("head")]
+    assert np.linalg.norm(shown.device_position[0] - head) < 0.3
+    assert shown.device_position.shape == (3, 3)
+
+
+def test_the_avatar_follows_and_its_feet_bear_its_weight():
+    shown = advance(session(), 60)
+    assert shown.outcome == "" and shown.error_m < 0.1
+    assert 400.0 < shown.contact_force[:, 2].sum() < 1100.0
+
+
+def test_a_push_moves_the_avatar_where_it_is_aimed():
+    chest = LINKS.index("chest")
+    calm = advance(session(), 30).position[chest]
+    for direction, axis, sign in ((0.0, 0, 1.0), (90.0, 1, 1.0), (180.0, 0, -1.0)):
+        live = session()
+        advance(live, 20)
+        live.push(150.0, direction)
+        assert np.linalg.norm(live.snapshot().push_n) == pytest.approx(150.0)
+        moved = advance(live, 10).position[chest] - calm
+        assert sign * moved[axis] > 0.02
+        assert not live.snapshot().push_n.any()
+
+
+def test_an_avatar_that_fell_lies_for_a_moment_and_begins_again():
+    live = session("zero")
+    for _ in range(300):
+        live.advance()
+        if live.snapshot().outcome:
+            break
+    assert live.snapshot().outcome == "fell"
+    assert advance(live, round(AFTER_FALL_S * FPS) + 1).time_s == 0.0
+    assert live.snapshot().outcome == ""
+
+
+def test_a_clip_that_was_followed_begins_again():
+    live = session()
+    live.change(clip="second")
+    assert advance(live, 53).outcome == "completed"
+    assert advance(live, 40).time_s < 1.0
+
+
+def test_changes_take_effect_at_once_and_begin_the_clip_again():
+    live = session()
+    stage = advance(live, 20).stage
+    live.change(clip="second", height_m=1.5)
+    shown = live.snapshot()
+    assert (live.settings.clip, shown.time_s, shown.stage.height_m) == ("second", 0.0, 1.5)
+    assert shown.stage.number > stage.number
+    assert shown.duration_s == pytest.approx(53 / FPS)
+
+
+def test_a_change_of_speed_goes_on_from_where_it_is():
+    live = session()
+    advance(live, 20)
+    live.change(speed=0.5)
+    assert live.snapshot().time_s == pytest.approx(20 / FPS)
+
+
+@pytest.mark.parametrize(
+    "wish",
+    [
+        {"clip": "third"},
+        {"agent": "nobody"},
+        {"sensors": "H"},
+        {"sensors": "H+2C+2IMU"},
+        {"height_m": 3.0},
+        {"height_m": "tall"},
+        {"speed": 1e9},
+        {"colour": "red"},
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line_and_changes_nothing(wish):
+    live = session()
+    before = advance(live, 20)
+    with pytest.raises(InputError) as error:
+        live.change(**wish)
+    assert "\n" not in str(error.value)
+    assert live.settings == Settings("first", "demo")
+    assert advance(live, 1).step == before.step + 1
+
+
+@pytest.mark.parametrize("push", [(2000.0, 0.0), (-1.0, 0.0), (np.nan, 0.0), (10.0, "left")])
+def test_a_push_without_sense_is_refused(push):
+    live = session()
+    with pytest.raises(InputError):
+        live.push(*push)
+    assert not advance(live, 1).push_n.any()
+
+
+def test_an_agent_can_be_given_only_the_sensors_it_reads():
+    live = session()
+    assert live.choices.sensors == ("H+2C", "3T")
+    live.change(agent="zero")
+    assert "H" in live.choices.sensors and "H+2C+2IMU" not in live.choices.sensors
+    live.change(sensors="6T")
+    assert live.snapshot().device_position.shape == (6, 3)
+    live.change(agent="demo")
+    assert live.settings.sensors == "H+2C"
+
+
+def test_a_driver_that_is_replaced_takes_over_where_the_avatar_is():
+    live = session()
+    advance(live, 36)
+    live.replace_driver("demo", TorqueDriver(ZeroAgent()), "newer")
+    shown = live.snapshot()
+    assert (shown.time_s, shown.note) == (1.0, "newer")
+    assert advance(live, 60).outcome == "fell"
+
+
+def test_same_settings_same_bits():
+    def end() -> np.ndarray:
+        live = session()
+        advance(live, 20)
+        live.push(120.0, 45.0)
+        return advance(live, 20).position
+
+    np.testing.assert_array_equal(end(), end())
+
+
+def test_the_runner_keeps_time_and_stops():
+    live = session()
+    with Runner(live) as runner:
+        time.sleep(1.0)
+        assert runner.running
+    steps = live.snapshot().step
+    assert 5 <= steps <= 40  # a busy machine may be late, but never early
+    time.sleep(0.1)
+    assert live.snapshot().step == steps
+
+
+def test_a_failure_of_the_simulation_is_told_and_ends_the_watching(monkeypatch):
+    live = session()
+    monkeypatch.setattr(live, "advance", lambda: 1 / 0)
+    stop = threading.Event()
+    with Runner(live, stop) as runner:
+        assert stop.wait(10.0)
+    assert isinstance(runner.failure, ZeroDivisionError)
+
+
+def test_many_threads_may_ask_at_once():
+    live = session()
+    failures = []
+
+    def ask(number: int) -> None:
+        try:
+            for i in range(10):
+                live.change(height_m=1.5 + 0.01 * ((number + i) % 5))
+                live.push(50.0, 90.0)
+                assert live.snapshot().position.shape == (16, 3)
+        except Exception as failure:
+            failures.append(failure)
+
+    with Runner(live):
+        threads = [threading.Thread(target=ask, args=(n,)) for n in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert not failures
+
+
+def test_the_trace_keeps_the_last_seconds_once():
+    live = session()
+    trace = Trace(seconds=0.5)
+    for _ in range(40):
+        live.advance()
+        trace.add(live.snapshot(), FPS)
+        trace.add(live.snapshot(), FPS)
+    time_s, error_cm, left, right = trace.columns()
+    assert len(time_s) == 19 and time_s[-1] == pytest.approx(40 / FPS)
+    assert error_cm[-1] == pytest.approx(100.0 * live.snapshot().error_m)
+    forces = np.linalg.norm(live.snapshot().contact_force, axis=-1)
+    assert (left[-1], right[-1]) == pytest.approx(tuple(forces))
+
+
+def test_baselines_can_use_every_set_that_has_poses():
+    assert usable_sensors(DRIVERS["zero"]()) == ("H", "H+2C", "6T", "4T", "3T")
