@@ -15,8 +15,9 @@ import torch
 from agents.agent import Agent, PolicyAgent, load_agent
 from agents.rolling import choose_clips, evaluation_sim, follow
 from agents.run_folder import data_record, versions
-from envs.config import EnvConfig
+from envs.config import EnvConfig, config_from
 from envs.core import BatchSim
+from envs.terrain import height_field
 from questsim.errors import InputError, at_least
 from questsim.evaluation_report import check_writable, format_table, write_report
 from questsim.metrics import Rollout
@@ -37,7 +38,7 @@ class EvaluateArgs:
     motions: str = "synthetic"
     """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
     env: str | None = None
-    """Environment id, QuestSim-v0 or QuestSimHeadset-v0; by default what the agent needs."""
+    """Environment id (see questsim envs); by default what the agent needs."""
     height: float | None = None
     """Stature in metres to scale avatar and clips to; by default the motions' own."""
     out: Path | None = None
@@ -87,7 +88,7 @@ def evaluate(args: EvaluateArgs) -> int:
     print(format_table(write_report(rollouts, args.out, context)))
     print(f"written to {args.out}")
     if args.video:
-        _film(rollouts, args.out / "rollouts.mp4")
+        _film(rollouts, args.out / "rollouts.mp4", config)
     return 0
 
 
@@ -114,7 +115,7 @@ def env_config(agent: Agent, env_id: str | None = None, height_m: float | None =
             raise InputError(f"there is no environment {env_id!r}", "--env", ", ".join(known))
         options |= {"sensors": EnvConfig().sensors} | gym.spec(env_id).kwargs
     heights = None if height_m is None else (height_m, height_m)
-    return EnvConfig(**options, heights=heights, fixed_start=True)
+    return config_from({**options, "heights": heights, "fixed_start": True})
 
 
 def roll_out(
@@ -197,7 +198,7 @@ def _roll_out_batch(
                 style=clip.style,
                 height_m=height,
                 fps=FPS,
-                reference=clip.scaled(height),
+                reference=sim.placed_clip(i, clip),
                 link_position=recorder.position[:frames, i],
                 link_quat=recorder.quat[:frames, i],
                 joint_angles=recorder.angles[:frames, i],
@@ -211,12 +212,13 @@ def _roll_out_batch(
     return rollouts
 
 
-def _film(rollouts: list[Rollout], path: Path) -> None:
+def _film(rollouts: list[Rollout], path: Path, config: EnvConfig) -> None:
     """Write the video, or say in one line why there is none."""
     from questsim.viewing.films import rollout_video
     from questsim.viewing.gl import NoGLError
 
     try:
-        print(f"written to {rollout_video(rollouts, path)}")
+        ground = None if config.terrain is None else height_field(config.terrain)
+        print(f"written to {rollout_video(rollouts, path, ground=ground)}")
     except NoGLError as error:
         print(f"video skipped: {error}", file=sys.stderr)

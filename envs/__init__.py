@@ -1,7 +1,8 @@
 """Environments: avatars in MuJoCo that are asked to follow a person.
 
-Importing this package registers ``QuestSim-v0`` (headset and two controllers) and
-``QuestSimHeadset-v0`` (headset alone) with gymnasium.
+Importing this package registers ``QuestSim-v0`` (headset and two controllers),
+``QuestSimHeadset-v0`` (headset alone) and one id for each terrain (``QuestSimRough-v0``, ...) with
+gymnasium; ``envs.gym.ENVIRONMENTS`` lists them.
 """
 
 from envs.config import EnvConfig
@@ -9,6 +10,7 @@ from envs.core import BatchSim
 from envs.gym import QuestEnv, QuestVectorEnv, register
 from envs.kinematic import KinematicVecEnv
 from envs.sb3 import QuestVecEnv
+from envs.terrain import Terrain, terrain_named
 
 __all__ = [
     "BatchSim",
@@ -17,6 +19,8 @@ __all__ = [
     "QuestEnv",
     "QuestVecEnv",
     "QuestVectorEnv",
+    "Terrain",
+    "terrain_named",
 ]
 
 register()

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
+from envs.terrain import Terrain, terrain_named
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
 from questsim.errors import InputError
 from questsim.reward import RewardConfig
@@ -33,6 +36,9 @@ class EnvConfig:
         sampling: ``"uniform"`` over frames, or ``"failure"``: clips and moments that end in
             falls come more often.
         noise: imperfections of the devices, drawn once for each clip.
+        terrain: the ground; None for a plane. Clips are played at places drawn for each episode,
+            and with ``fixed_start`` at the same place every time.
+        height_scan: append the heights of the ground around the avatar to the observation.
     """
 
     sensors: str = "H+2C"
@@ -47,6 +53,8 @@ class EnvConfig:
     self_collision: bool = False
     sampling: str = "uniform"
     noise: SensorNoise | None = None
+    terrain: Terrain | None = None
+    height_scan: bool = False
 
     def __post_init__(self) -> None:
         imus = [name for name in sensor_set(self.sensors) if DEVICES[name].kind == "imu"]
@@ -75,3 +83,15 @@ class EnvConfig:
     def frame_offsets(self) -> tuple[int, ...]:
         """Frames ahead of the present that o_user shows."""
         return tuple(range(1, self.future_frames + 1)) or (0,)
+
+
+def config_from(options: Mapping[str, Any]) -> EnvConfig:
+    """A config of keyword options, of which ``terrain`` may be a name: ``"rough:seed=3"``.
+
+    Raises:
+        InputError: an option's value cannot be used.
+    """
+    options = dict(options)
+    if isinstance(options.get("terrain"), str):
+        options["terrain"] = terrain_named(options["terrain"])
+    return EnvConfig(**options)

@@ -15,16 +15,18 @@ from mujoco import batch as mujoco_batch
 
 from envs import kernels
 from envs.config import EnvConfig
-from envs.layout import observation_layout, observation_size
+from envs.layout import SCAN_POINTS, observation_layout, observation_size
+from envs.placement import Placement, moved, placed_clip, turn_quat, turned
 from envs.reference import Reference
 from envs.sampler import Sampler
+from envs.world import build_world
 from questsim import rotations as rot
-from questsim.body import DEFAULT_HEIGHT_M, Body, build_body
+from questsim.body import DEFAULT_HEIGHT_M, Body
 from questsim.errors import InputError
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.kinematics import sole_positions
 from questsim.reward import TERMS
-from questsim.skeleton import FOOT_LINKS
+from questsim.skeleton import FOOT_LINKS, NUM_DOFS, NUM_LINKS
 
 _CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL.value)
 # Counters of states that MuJoCo found not finite or too large, after which it reset itself.
@@ -34,6 +36,8 @@ _UNSTABLE = [
     int(mujoco.mjtWarning.mjWARN_BADQACC),
 ]
 
+
+_NUM_POSITIONS, _NUM_VELOCITIES = 7 + NUM_DOFS, 6 + NUM_DOFS
 
 # What belongs to a running episode, beside the physics.
 _EPISODE = ("clip", "frame", "_first", "_end", "contact_force", "_previous_force")
@@ -57,6 +61,7 @@ class BatchSim:
         fell, ended, unstable: ``(n,)`` bool of the last step: the error passed its limit (or
             the physics failed), the clip ended, the physics was not finite.
         clip, frame: ``(n,)`` the clip played and the row of the reference now.
+        placement: where each clip is played on the terrain; its ``field`` is the ground.
         unstable_count: resets for physics that was not finite, since the beginning.
     """
 
@@ -83,6 +88,13 @@ class BatchSim:
         self._sampler = Sampler(self.reference, self.config.sampling == "failure")
         self._all = np.arange(n)
         self._floor = np.zeros(n)
+        self.placement = Placement(
+            self.reference, self.config.terrain, self._ratio, seed, self.config.fixed_start
+        )
+        field = self.placement.field
+        self._surface = np.zeros((1, 1)) if field is None else field.height
+        self._ground = np.zeros((1, 1)) if field is None else field.ground
+        self._grid = np.array([0.0, 0.0, 1.0] if field is None else [*field.origin, field.cell_m])
         self._user_offsets = np.array(self.config.frame_offsets)
         self._privileged = np.array(
             self.config.privileged_frames if self.config.privileged else (), dtype=np.int64
@@ -112,8 +124,12 @@ class BatchSim:
         return self.reference.heights[np.arange(n) * len(self.reference.heights) // n]
 
     def _build_batch(self, num_threads: int) -> None:
+        config = self.config
+
         def build(height: float) -> Body:
-            return build_body(float(height), self.config.body_preset, self.config.self_collision)
+            return build_world(
+                float(height), config.body_preset, config.self_collision, config.terrain
+            )
 
         self.body = build(DEFAULT_HEIGHT_M)
         models = [build(height).model for height in self.heights]
@@ -135,29 +151,49 @@ class BatchSim:
     @property
     def link_positions(self) -> np.ndarray:
         """``(n, 16, 3)`` world positions of the links in metres."""
-        return self._xpos[:, 1:]
+        return self._xpos[:, 1 : 1 + NUM_LINKS]
 
     @property
     def link_quats(self) -> np.ndarray:
         """``(n, 16, 4)`` world orientations of the links, wxyz."""
-        return self._xquat[:, 1:]
+        return self._xquat[:, 1 : 1 + NUM_LINKS]
 
     @property
     def joint_angles(self) -> np.ndarray:
         """``(n, 33)`` rad."""
-        return self.qpos[:, 7:]
+        return self.qpos[:, 7:_NUM_POSITIONS]
+
+    @property
+    def floor(self) -> np.ndarray:
+        """``(n,)`` height in metres of the ground under each avatar: where S stands."""
+        return self._floor
+
+    def placed_clip(self, i: int, clip: Clip) -> Clip:
+        """What simulation ``i`` is asked to do in the world.
+
+        Args:
+            i: the simulation.
+            clip: the one it plays; its reference is this, scaled, moved to its place and lifted.
+        """
+        scaled = clip.scaled(float(self.heights[i]))
+        return placed_clip(scaled, self.placement.place[i], self.placement.field)
 
     @property
     def foot_clearance(self) -> np.ndarray:
-        """``(n, 2)`` height in metres of each foot's lowest sole point above the floor."""
-        feet = list(FOOT_LINKS)
-        position, quat = self.link_positions[:, feet], self.link_quats[:, feet]
-        clearance = np.empty((self.num_envs, 2))
-        for height in np.unique(self.heights):
-            these = self.heights == height
+        """``(n, 2)`` height in metres above the floor of each foot's lowest sole point over it."""
+        return self._clearance(self._all)
+
+    def _clearance(self, ids: np.ndarray) -> np.ndarray:
+        feet = [1 + link for link in FOOT_LINKS]
+        position, quat = self._xpos[ids][:, feet], self._xquat[ids][:, feet]
+        field = self.placement.field
+        clearance, heights = np.empty((len(ids), 2)), self.heights[ids]
+        for height in np.unique(heights):
+            these = heights == height
             soles = sole_positions(position[these], quat[these], float(height))
-            clearance[these] = soles[..., 2].min(axis=-1)
-        return clearance - self._floor[:, None]
+            above = soles[..., 2] - (0.0 if field is None else field.height_at(soles))
+            clearance[these] = above.min(axis=-1)
+        return clearance
 
     # -- the environment ------------------------------------------------------------------
 
@@ -181,6 +217,7 @@ class BatchSim:
         self.frame[ids] = reference.start[clips] + first
         self._end[ids] = reference.end[clips]
         rows = self.frame[ids]
+        self.placement.draw(ids, clips)
         self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE.value))
         self._pose(ids, rows)
         self.batch.forward(ids, stage=_CURRENT)
@@ -195,7 +232,24 @@ class BatchSim:
         qvel = self.reference.qvel[rows].astype(float)
         qpos[:, :3] *= scale
         qvel[:, :3] *= scale
-        self.qpos[ids], self.qvel[ids] = qpos, qvel
+        if self.placement.field is not None:
+            self._put_on_ground(ids, rows, qpos, qvel)
+        self.qpos[ids, :_NUM_POSITIONS], self.qvel[ids, :_NUM_VELOCITIES] = qpos, qvel
+
+    def _put_on_ground(
+        self, ids: np.ndarray, rows: np.ndarray, qpos: np.ndarray, qvel: np.ndarray
+    ) -> None:
+        """Move poses to their places, and up until no sole is below the surface."""
+        field, place = self.placement.field, self.placement.place[ids]
+        assert field is not None
+        qpos[:, :3], qvel[:, :3] = moved(place, qpos[:, :3]), turned(place, qvel[:, :3])
+        qpos[:, 3:7] = rot.quat_multiply(turn_quat(place), qpos[:, 3:7])
+        qpos[:, 2] += field.ground_at(qpos)
+        step = qvel[:, :3] * [1.0, 1.0, 0.0] / FPS
+        qvel[:, 2] += FPS * (field.ground_at(qpos) - field.ground_at(qpos[:, :3] - step))
+        self.qpos[ids, :_NUM_POSITIONS] = qpos
+        self.batch.forward(ids, stage=int(mujoco.mjtStage.mjSTAGE_POS.value))
+        qpos[:, 2] += np.maximum(-self._clearance(ids).min(axis=-1), 0.0)
 
     def step(self, action: np.ndarray) -> None:
         """Advance 1/36 s under torques ``action * torque_limits``, and score the new state.
@@ -215,12 +269,12 @@ class BatchSim:
 
         Velocities are the differences from the poses before, contact forces zero.
         """
-        before, after = self.qpos, np.asarray(pose, float)
+        before, after = self.qpos[:, :_NUM_POSITIONS], np.asarray(pose, float)
         turn = rot.quat_multiply(rot.quat_conjugate(before[:, 3:7]), after[:, 3:7])
         self.qvel[:, :3] = FPS * (after[:, :3] - before[:, :3])
         self.qvel[:, 3:6] = FPS * rot.as_rotation(turn).as_rotvec()
-        self.qvel[:, 6:] = FPS * (after[:, 7:] - before[:, 7:])
-        self.qpos[:] = after
+        self.qvel[:, 6:_NUM_VELOCITIES] = FPS * (after[:, 7:] - before[:, 7:])
+        self.qpos[:, :_NUM_POSITIONS] = after
         self.batch.forward(stage=_CURRENT)
         self._after_step(physics=False)
 
@@ -264,6 +318,7 @@ class BatchSim:
             first, last, self.qpos, self.qvel, self._xpos, self._cvel, self._com,
             self.contact_force, self._previous_force, self.frame, self._ratio,
             reference.qpos, reference.qvel, reference.position, reference.velocity,
+            self.placement.place, self._ground, self._grid,
             self._kernels, self._weights, self.reward_terms, self.reward, self.error,
         )  # fmt: skip
 
@@ -278,12 +333,20 @@ class BatchSim:
             self._com, self.contact_force, self.frame, self._end, self._ratio, self.heights,
             reference.qpos, reference.qvel, reference.position, reference.quat,
             reference.dev_position, reference.dev_quat,
-            self._user_offsets, self._privileged, self._floor, self.observation,
+            self._user_offsets, self._privileged, self.placement.place, self._ground, self._grid,
+            self._floor, self.observation,
         )  # fmt: skip
+        if "height_scan" in self.layout:
+            column = self.layout["height_scan"].start
+            kernels.scan(
+                first, last, ids, self.qpos, SCAN_POINTS, self._surface, self._grid, self._floor,
+                column, self.observation,
+            )  # fmt: skip
 
     def seed(self, seed: int) -> None:
-        """Begin the stream of random clips and frames anew."""
+        """Begin the stream of random clips, frames and places anew."""
         self._rng = np.random.default_rng(seed)
+        self.placement.seed(seed)
 
     def get_state(self) -> dict[str, Any]:
         """What the coming steps depend on: random numbers, sampler, episodes and physics."""
@@ -293,6 +356,7 @@ class BatchSim:
             "unstable_count": self.unstable_count,
             "episodes": {name: getattr(self, name).copy() for name in _EPISODE},
             "physics": self.batch.state.copy(),
+            "placement": self.placement.get_state(),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -314,6 +378,8 @@ class BatchSim:
         self.batch.forward(stage=_CURRENT)
         for name in _EPISODE:
             getattr(self, name)[:] = state["episodes"][name]
+        if "placement" in state:  # earlier versions knew no terrain
+            self.placement.set_state(state["placement"])
         self.unstable_count = state["unstable_count"]
         self._observe(self._all)
 

@@ -10,13 +10,16 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from envs.config import EnvConfig
+from envs.config import EnvConfig, config_from
 from envs.core import BatchSim
 from envs.layout import observation_size
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
 from questsim.reward import TERMS
 from questsim.skeleton import NUM_DOFS
+
+POSE_SIZE = 7 + NUM_DOFS
+"""Root position (m), root quaternion wxyz, 33 joint angles (rad), in the world."""
 
 Motions = str | Sequence[Clip]
 """What to follow: clips, or a motion argument such as ``"bandai-namco-2:train"``."""
@@ -42,7 +45,8 @@ def _spaces(sim: BatchSim) -> tuple[gym.spaces.Box, gym.spaces.Box]:
 class QuestEnv(gym.Env[np.ndarray, np.ndarray]):
     """One avatar that follows clips: a batch of one, bit-identical to a row of a larger batch.
 
-    ``info`` of each step: the reward's terms by name, ``error_m``, ``clip``, ``frame``, ``fell``.
+    ``info`` of each step: the reward's terms by name, ``error_m``, ``clip``, ``frame``, ``fell``
+    and ``floor_m``, the height of the ground under the avatar.
     ``reset(options={"clip": name_or_index, "frame": 0})`` starts a given clip.
 
     Args:
@@ -62,7 +66,7 @@ class QuestEnv(gym.Env[np.ndarray, np.ndarray]):
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(f"unknown render mode {render_mode!r}", fix="use 'rgb_array'")
-        self.sim = BatchSim(load_clips(motions), config or EnvConfig(**options), num_envs=1)
+        self.sim = BatchSim(load_clips(motions), config or config_from(options), num_envs=1)
         self.observation_space, self.action_space = _spaces(self.sim)
         self.render_mode = render_mode
         self._renderer: Any = None
@@ -116,6 +120,7 @@ class QuestEnv(gym.Env[np.ndarray, np.ndarray]):
             "clip": sim.reference.names[clip],
             "frame": int(sim.frame[0] - sim.reference.start[clip]),
             "fell": bool(sim.fell[0]),
+            "floor_m": float(sim.floor[0]),
         }
 
     def render(self) -> Any:
@@ -125,11 +130,12 @@ class QuestEnv(gym.Env[np.ndarray, np.ndarray]):
         from questsim.viewing.camera import Camera, three_quarter_azimuth
         from questsim.viewing.render import Figure, SceneRenderer
 
-        pose, height = self.sim.qpos[0], float(self.sim.heights[0])
+        pose, height = self.sim.qpos[0, :POSE_SIZE], float(self.sim.heights[0])
         if self._renderer is None:
-            self._renderer = SceneRenderer([Figure(height)])
+            field = self.sim.placement.field
+            self._renderer = SceneRenderer([Figure(height)], ground=field)
             self._azimuth = three_quarter_azimuth(pose[None, 3:7])
-        lookat = np.array([pose[0], pose[1], height / 2.0])
+        lookat = np.array([pose[0], pose[1], self.sim.floor[0] + height / 2.0])
         return self._renderer.render([pose], Camera(lookat, 2.0 * height, self._azimuth))
 
     def close(self) -> None:
@@ -168,7 +174,7 @@ class QuestVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if render_mode is not None:
             raise InputError("vector environments do not render", "render_mode", "render one")
         clips = load_clips(motions)
-        self.sim = BatchSim(clips, config or EnvConfig(**options), num_envs, seed, num_threads)
+        self.sim = BatchSim(clips, config or config_from(options), num_envs, seed, num_threads)
         self.num_envs = num_envs
         self.single_observation_space, self.single_action_space = _spaces(self.sim)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -189,14 +195,14 @@ class QuestVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Apply torques ``(n, 33)``; infos hold the reward's terms, ``error_m`` and ``fell``."""
+        """Apply torques ``(n, 33)``; infos hold what ``QuestEnv``'s do, as arrays."""
         sim = self.sim
         sim.step(np.asarray(actions, float))
         fell, ended, reward = sim.fell.copy(), sim.ended.copy(), sim.reward.copy()
         infos: dict[str, Any] = {
             term: sim.reward_terms[:, i].copy() for i, term in enumerate(TERMS)
         }
-        infos |= {"error_m": sim.error.copy(), "fell": fell}
+        infos |= {"error_m": sim.error.copy(), "fell": fell, "floor_m": sim.floor.copy()}
         ids = np.flatnonzero(fell | ended)
         if len(ids):
             final = np.full(self.num_envs, None, dtype=object)
@@ -212,12 +218,23 @@ class QuestVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.sim.close()
 
 
+ENVIRONMENTS: dict[str, dict[str, Any]] = {
+    "QuestSim-v0": {},
+    "QuestSimHeadset-v0": {"sensors": "H"},
+    "QuestSimRough-v0": {"terrain": "rough"},
+    "QuestSimWaves-v0": {"terrain": "waves"},
+    "QuestSimSlope-v0": {"terrain": "slope"},
+    "QuestSimStairs-v0": {"terrain": "stairs"},
+    "QuestSimSteps-v0": {"terrain": "steps"},
+    "QuestSimGaps-v0": {"terrain": "gaps"},
+    "QuestSimCourse-v0": {"terrain": "course"},
+}
+"""Ids and the options in which each differs from the defaults of ``EnvConfig``."""
+
+
 def register() -> None:
     """Register the environments' ids with gymnasium; ``import envs`` does."""
-    for name, options in (
-        ("QuestSim-v0", {}),
-        ("QuestSimHeadset-v0", {"sensors": "H"}),
-    ):
+    for name, options in ENVIRONMENTS.items():
         gym.register(
             name,
             entry_point="envs.gym:QuestEnv",

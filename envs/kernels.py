@@ -14,6 +14,8 @@ from typing import Any
 import numba
 import numpy as np
 
+from questsim.motion.clip import FPS
+
 _jit: Any = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
@@ -44,10 +46,60 @@ def _heading(w, x, y, z):
 
 
 @_jit
+def _cell(values, grid, x, y):
+    """Row, column and the place within the cell of a point on a grid; beyond the edge, its edge."""
+    rows, columns = values.shape
+    across = min(max((x - grid[0]) / grid[2], 0.0), columns - 1.0)
+    along = min(max((y - grid[1]) / grid[2], 0.0), rows - 1.0)
+    column, row = min(int(across), columns - 2), min(int(along), rows - 2)
+    return row, column, across - column, along - row
+
+
+@_jit
+def _ground_at(ground, grid, x, y):
+    """``HeightField.ground_at`` of one point; a field of one number is a plane at zero."""
+    if ground.size == 1:
+        return 0.0
+    row, column, u, v = _cell(ground, grid, x, y)
+    near = ground[row, column] * (1.0 - u) + ground[row, column + 1] * u
+    far = ground[row + 1, column] * (1.0 - u) + ground[row + 1, column + 1] * u
+    return near * (1.0 - v) + far * v
+
+
+@_jit
+def _height_at(height, grid, x, y):
+    """``HeightField.height_at`` of one point; a field of one number is a plane at zero."""
+    if height.size == 1:
+        return 0.0
+    row, column, u, v = _cell(height, grid, x, y)
+    low, right = height[row, column], height[row, column + 1]
+    up, far = height[row + 1, column], height[row + 1, column + 1]
+    if u >= v:
+        return low + u * (right - low) + v * (far - right)
+    return low + v * (up - low) + u * (far - up)
+
+
+@_jit
+def _lift(place, ground, grid, root_x, root_y):
+    """Height of the ground under a root of a clip that is played at ``place``."""
+    x, y = _placed(place, root_x, root_y)
+    return _ground_at(ground, grid, x, y)
+
+
+@_jit
+def _placed(place, x, y):
+    """Where a point of a clip lies in the world."""
+    return (
+        place[0] + (place[2] * x - place[3] * y),
+        place[1] + (place[3] * x + place[2] * y),
+    )
+
+
+@_jit
 def observe(
     first, last, ids, qpos, qvel, xpos, xquat, cvel, com, force, frame, end, ratio, height,
     ref_qpos, ref_qvel, ref_position, ref_quat, dev_position, dev_quat,
-    offsets, privileged, floor, obs,
+    offsets, privileged, place, ground, grid, floor, obs,
 ):  # fmt: skip
     """Fill ``obs[ids[first:last]]``.
 
@@ -62,17 +114,25 @@ def observe(
         ref_*, dev_*: reference rows of all clips, one after the other.
         offsets: ``(k,)`` frames ahead of each block of o_user.
         privileged: ``(p,)`` frames ahead of each privileged block.
-        floor: ``(n,)`` height of the floor below the root, metres.
+        place: ``(n, 4)`` where each clip is played: x, y, cosine and sine of its turn.
+        ground: ``(rows, columns)`` height of the floor on a grid, or one number for a plane.
+        grid: x and y of the grid's first point, and its distance of points.
+        floor: ``(n,)`` takes the height of the floor below the root, metres.
         obs: ``(n, size)`` float32.
     """
     links = ref_position.shape[1]
-    dofs = qpos.shape[1] - 7
+    dofs = ref_qpos.shape[1] - 7
     devices = dev_position.shape[1]
     for index in range(first, last):
         i = ids[index]
         out = obs[i]
-        root_x, root_y, ground = qpos[i, 0], qpos[i, 1], floor[i]
+        root_x, root_y = qpos[i, 0], qpos[i, 1]
+        below = _ground_at(ground, grid, root_x, root_y)
+        floor[i] = below
         c, s = _heading(qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6])
+        # The heading as the clip sees it, before it was turned to its place.
+        clip_c = c * place[i, 2] + s * place[i, 3]
+        clip_s = s * place[i, 2] - c * place[i, 3]
         at = 0
         for j in range(dofs):
             out[at] = qpos[i, 7 + j]
@@ -82,7 +142,7 @@ def observe(
         com_x, com_y, com_z = com[i, 1, 0], com[i, 1, 1], com[i, 1, 2]
         for b in range(links):
             x, y, z = xpos[i, b + 1, 0], xpos[i, b + 1, 1], xpos[i, b + 1, 2]
-            _turn_back(c, s, x - root_x, y - root_y, z - ground, out, at + 3 * b)
+            _turn_back(c, s, x - root_x, y - root_y, z - below, out, at + 3 * b)
             _columns(
                 c, s, xquat[i, b + 1, 0], xquat[i, b + 1, 1], xquat[i, b + 1, 2],
                 xquat[i, b + 1, 3], out, at + 3 * links + 6 * b,
@@ -102,14 +162,15 @@ def observe(
         for k in range(offsets.shape[0]):
             row = min(frame[i] + offsets[k], end[i] - 1)
             for d in range(devices):
-                _turn_back(
-                    c, s, dev_position[row, d, 0] * scale - root_x,
-                    dev_position[row, d, 1] * scale - root_y,
-                    dev_position[row, d, 2] * scale - ground, out, at,
-                )  # fmt: skip
+                x, y = _placed(
+                    place[i], dev_position[row, d, 0] * scale, dev_position[row, d, 1] * scale
+                )
+                # Devices keep their height above the user's own floor.
+                z = dev_position[row, d, 2] * scale
+                _turn_back(c, s, x - root_x, y - root_y, z, out, at)
                 _columns(
-                    c, s, dev_quat[row, d, 0], dev_quat[row, d, 1], dev_quat[row, d, 2],
-                    dev_quat[row, d, 3], out, at + 3,
+                    clip_c, clip_s, dev_quat[row, d, 0], dev_quat[row, d, 1],
+                    dev_quat[row, d, 2], dev_quat[row, d, 3], out, at + 3,
                 )  # fmt: skip
                 at += 9
         out[at] = height[i]
@@ -121,15 +182,19 @@ def observe(
                 out[at + dofs] = ref_qvel[row, 6 + j]
                 at += 1
             at += dofs
+            lift = _lift(place[i], ground, grid, ref_qpos[row, 0] * scale, ref_qpos[row, 1] * scale)
             for b in range(links):
+                x, y = _placed(
+                    place[i], ref_position[row, b, 0] * scale, ref_position[row, b, 1] * scale
+                )
+                z = ref_position[row, b, 2] * scale + lift
                 _turn_back(
-                    c, s, ref_position[row, b, 0] * scale - xpos[i, b + 1, 0],
-                    ref_position[row, b, 1] * scale - xpos[i, b + 1, 1],
-                    ref_position[row, b, 2] * scale - xpos[i, b + 1, 2], out, at + 3 * b,
+                    c, s, x - xpos[i, b + 1, 0], y - xpos[i, b + 1, 1], z - xpos[i, b + 1, 2],
+                    out, at + 3 * b,
                 )  # fmt: skip
                 _columns(
-                    c, s, ref_quat[row, b, 0], ref_quat[row, b, 1], ref_quat[row, b, 2],
-                    ref_quat[row, b, 3], out, at + 3 * links + 6 * b,
+                    clip_c, clip_s, ref_quat[row, b, 0], ref_quat[row, b, 1],
+                    ref_quat[row, b, 2], ref_quat[row, b, 3], out, at + 3 * links + 6 * b,
                 )  # fmt: skip
             at += 9 * links
 
@@ -137,16 +202,27 @@ def observe(
 @_jit
 def score(
     first, last, qpos, qvel, xpos, cvel, com, force, previous_force, frame, ratio,
-    ref_qpos, ref_qvel, ref_position, ref_velocity, kernels, weights, terms, reward, error,
+    ref_qpos, ref_qvel, ref_position, ref_velocity, place, ground, grid, kernels, weights, terms,
+    reward, error,
 ):  # fmt: skip
     """Fill ``terms`` ``(n, 5)``, ``reward`` ``(n,)`` and mean link ``error`` ``(n,)`` in metres.
 
-    ``frame`` is the reference row of the new state; see ``observe`` for the rest.
+    ``frame`` is the reference row of the new state, which is not a clip's first; see ``observe``
+    for the rest. The reference is lifted by the ground under its root.
     """
     links = ref_position.shape[1]
-    dofs = qpos.shape[1] - 7
+    dofs = ref_qpos.shape[1] - 7
     for i in range(first, last):
         row, scale = frame[i], ratio[i]
+        turn_c, turn_s = place[i, 2], place[i, 3]
+        lift = _lift(place[i], ground, grid, ref_qpos[row, 0] * scale, ref_qpos[row, 1] * scale)
+        before = max(row - 1, 0)
+        rise = FPS * (
+            lift
+            - _lift(
+                place[i], ground, grid, ref_qpos[before, 0] * scale, ref_qpos[before, 1] * scale
+            )
+        )
         angles = 0.0
         velocities = 0.0
         for j in range(dofs):
@@ -159,17 +235,20 @@ def score(
         distance = 0.0
         for b in range(links):
             x, y, z = xpos[i, b + 1, 0], xpos[i, b + 1, 1], xpos[i, b + 1, 2]
-            dx = x - ref_position[row, b, 0] * scale
-            dy = y - ref_position[row, b, 1] * scale
-            dz = z - ref_position[row, b, 2] * scale
+            ref_x, ref_y = _placed(
+                place[i], ref_position[row, b, 0] * scale, ref_position[row, b, 1] * scale
+            )
+            dx, dy = x - ref_x, y - ref_y
+            dz = z - (ref_position[row, b, 2] * scale + lift)
             square = dx * dx + dy * dy + dz * dz
             squared += square
             distance += math.sqrt(square)
             wx, wy, wz = cvel[i, b + 1, 0], cvel[i, b + 1, 1], cvel[i, b + 1, 2]
             rx, ry, rz = x - com[i, 1, 0], y - com[i, 1, 1], z - com[i, 1, 2]
-            dx = cvel[i, b + 1, 3] + wy * rz - wz * ry - ref_velocity[row, b, 0] * scale
-            dy = cvel[i, b + 1, 4] + wz * rx - wx * rz - ref_velocity[row, b, 1] * scale
-            dz = cvel[i, b + 1, 5] + wx * ry - wy * rx - ref_velocity[row, b, 2] * scale
+            ref_x, ref_y = ref_velocity[row, b, 0] * scale, ref_velocity[row, b, 1] * scale
+            dx = cvel[i, b + 1, 3] + wy * rz - wz * ry - (turn_c * ref_x - turn_s * ref_y)
+            dy = cvel[i, b + 1, 4] + wz * rx - wx * rz - (turn_s * ref_x + turn_c * ref_y)
+            dz = cvel[i, b + 1, 5] + wx * ry - wy * rx - (ref_velocity[row, b, 2] * scale + rise)
             speed += dx * dx + dy * dy + dz * dz
         drop = 0.0
         for foot in range(2):
@@ -184,6 +263,25 @@ def score(
             total += weights[t] * terms[i, t]
         reward[i] = total
         error[i] = distance / links
+
+
+@_jit
+def scan(first, last, ids, qpos, points, height, grid, floor, column, obs):
+    """Fill ``obs[ids[first:last], column:]`` with the surface around the avatar.
+
+    Args:
+        first, last, ids, qpos, grid, floor, obs: as of ``observe``, which fills ``floor``.
+        points: ``(k, 2)`` places in S, metres.
+        height: ``(rows, columns)`` of the surface on a grid, or one number for a plane.
+        column: of the first of ``k`` heights above the floor below the root, metres.
+    """
+    for index in range(first, last):
+        i = ids[index]
+        c, s = _heading(qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6])
+        for k in range(points.shape[0]):
+            x = qpos[i, 0] + c * points[k, 0] - s * points[k, 1]
+            y = qpos[i, 1] + s * points[k, 0] + c * points[k, 1]
+            obs[i, column + k] = _height_at(height, grid, x, y) - floor[i]
 
 
 def chunks(count: int, parts: int) -> list[tuple[int, int]]:

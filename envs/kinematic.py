@@ -6,12 +6,9 @@ import gymnasium as gym
 import numpy as np
 
 from envs.config import EnvConfig
-from envs.gym import Motions, load_clips
+from envs.gym import POSE_SIZE, Motions, load_clips
 from envs.sb3 import QuestVecEnv
 from questsim.errors import InputError
-
-POSE_SIZE = 40
-"""Root position (m), root quaternion wxyz, 33 joint angles (rad), in the world."""
 
 
 class KinematicVecEnv(QuestVecEnv):

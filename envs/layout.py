@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from envs.config import EnvConfig
 from questsim.sensors import sensor_set
 from questsim.skeleton import FEET, NUM_DOFS, NUM_LINKS
 
 POSE_SIZE = 9
 """A device's position and the first two columns of its rotation matrix."""
+_SCAN_FORWARD_M = np.linspace(-0.5, 1.0, 11)
+_SCAN_LEFT_M = np.linspace(-0.45, 0.45, 7)
+SCAN_POINTS = np.stack(np.meshgrid(_SCAN_FORWARD_M, _SCAN_LEFT_M, indexing="ij"), -1).reshape(-1, 2)
+"""Where the height scan looks, ``(77, 2)`` in S in metres: 15 cm apart, row by row from behind."""
 
 
 def observation_layout(config: EnvConfig) -> dict[str, slice]:
@@ -16,7 +22,8 @@ def observation_layout(config: EnvConfig) -> dict[str, slice]:
     All in the frame S: on the floor below the root, turned with its heading (QuestSim section
     3). ``o_sim`` is 312 numbers, ``o_user`` frames x devices x (position 3, orientation 6),
     ``o_scale`` the height. ``"privileged"``, if the config asks for it, follows; of its first
-    block ``"reference_joint_angles"`` is the next frame's 33 angles.
+    block ``"reference_joint_angles"`` is the next frame's 33 angles. ``"height_scan"``, likewise,
+    is the height of the ground at ``SCAN_POINTS``.
     """
     layout: dict[str, slice] = {}
     at = 0
@@ -41,6 +48,9 @@ def observation_layout(config: EnvConfig) -> dict[str, slice]:
         size = len(config.privileged_frames) * (2 * NUM_DOFS + 9 * NUM_LINKS)
         layout["privileged"] = slice(at, at + size)
         layout["reference_joint_angles"] = slice(at, at + NUM_DOFS)
+        at += size
+    if config.height_scan:
+        layout["height_scan"] = slice(at, at + len(SCAN_POINTS))
     return layout
 
 

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from questsim.body import DEFAULT_HEIGHT_M
+from questsim.heightfield import HeightField
 from questsim.metrics import Rollout
 from questsim.metrics_terms import mpjpe_cm
 from questsim.motion.clip import FPS, Clip
@@ -141,6 +142,7 @@ def rollout_frames(
     stride: int = 2,
     max_seconds: float = 10.0,
     layout: Layout = "beside",
+    ground: HeightField | None = None,
 ) -> Iterator[np.ndarray]:
     """Pictures ``(height, width, 3)`` of a page of rollouts that play at the same time.
 
@@ -160,7 +162,7 @@ def rollout_frames(
     try:
         for h in heights:
             figures = [Figure(h, devices=False), Figure(h, person, devices=layout == "beside")]
-            renderers[h] = SceneRenderer(figures, tile_width, tile_height)
+            renderers[h] = SceneRenderer(figures, tile_width, tile_height, ground)
         page = np.full((height, width, 3), 255, np.uint8)
         fps = rollouts[0].fps
         seconds = min(max(len(shot) for shot in shots), round(max_seconds * fps))
@@ -191,6 +193,7 @@ def rollout_video(
     stride: int = 2,
     max_seconds: float = 10.0,
     layout: Layout = "beside",
+    ground: HeightField | None = None,
 ) -> Path:
     """Film rollouts, four to a page, page after page: the avatar beside the person it follows.
 
@@ -204,6 +207,7 @@ def rollout_video(
         stride: show every n-th frame; the film keeps its speed.
         max_seconds: the longest that a page plays.
         layout: ``"beside"``, or ``"ghost"``: the person see-through at the same place.
+        ground: what they walk on, None for a plane.
 
     Returns:
         The path.
@@ -216,7 +220,8 @@ def rollout_video(
     size = 2 * columns
     pages = [chosen[i : i + size] for i in range(0, len(chosen), size)]
     frames = chain.from_iterable(
-        rollout_frames(page, width, height, columns, stride, max_seconds, layout) for page in pages
+        rollout_frames(page, width, height, columns, stride, max_seconds, layout, ground)
+        for page in pages
     )
     fps = rollouts[0].fps if rollouts else FPS
     write_video(path, frames, fps / stride)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from questsim.heightfield import HeightField
 from questsim.skeleton import NUM_DOFS
 from questsim.viewing.camera import FOVY_DEG, Camera
 from questsim.viewing.costume import AVATAR, Look, figure_spec
@@ -77,15 +78,22 @@ class SceneRenderer:
     Args:
         figures: who is in the picture.
         width, height: of the picture in pixels.
+        ground: what they stand on; None for a plane.
 
     Raises:
         NoGLError: there is no OpenGL library to render with.
     """
 
-    def __init__(self, figures: Sequence[Figure], width: int = 640, height: int = 480) -> None:
+    def __init__(
+        self,
+        figures: Sequence[Figure],
+        width: int = 640,
+        height: int = 480,
+        ground: HeightField | None = None,
+    ) -> None:
         use_gl()
         self.width, self.height = width, height
-        self._model = scene_spec(figures, width, height).compile()
+        self._model = scene_spec(figures, width, height, ground).compile()
         self._data = mujoco.MjData(self._model)
         self._renderer = mujoco.Renderer(self._model, height, width, max_geom=500)
         self._camera = mujoco.MjvCamera()
@@ -144,7 +152,9 @@ def _aim_lights(scene: mujoco.MjvScene, camera: Camera) -> None:
         light.pos = camera.lookat * [1.0, 1.0, 0.0] - _SUN_DISTANCE_M * np.array(light.dir)
 
 
-def scene_spec(figures: Sequence[Figure], width: int, height: int) -> mujoco.MjSpec:
+def scene_spec(
+    figures: Sequence[Figure], width: int, height: int, ground: HeightField | None = None
+) -> mujoco.MjSpec:
     """Floor, sky, light and the figures, named ``0/...``, ``1/...`` in the order given."""
     spec = mujoco.MjSpec()
     spec.stat.extent, spec.stat.center = 3.0, np.array([0.0, 0.0, 0.9])
@@ -161,6 +171,8 @@ def scene_spec(figures: Sequence[Figure], width: int, height: int) -> mujoco.MjS
     for light in _LIGHTS:
         _add_light(spec, light)
     _add_sky_and_floor(spec)
+    if ground is not None:
+        ground.replace_floor(spec)
     for i, figure in enumerate(figures):
         person = figure_spec(figure.height_m, figure.look, figure.devices)
         # MuJoCo warns on stderr of every option in which a guest differs from its host.

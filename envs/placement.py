@@ -1,0 +1,188 @@
+"""Where on the ground each episode's clip is played."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import replace
+
+import numpy as np
+
+from envs.reference import Reference
+from envs.terrain import COURSE, MARGIN_M, Terrain, height_field, tile_centre
+from questsim import rotations as rot
+from questsim.errors import InputError
+from questsim.heightfield import HeightField
+from questsim.motion.clip import FPS, Clip
+
+_ANGLES = {"up": 0.0, "down": np.pi, "across": 0.5 * np.pi}
+_LEAST_TRAVEL_M = 0.5
+"""Clips that end nearer than this to where they began are turned by where they look instead."""
+
+
+class Placement:
+    """Places of a batch's clips on a terrain; at the origin, unturned, without one.
+
+    Args:
+        reference: the clips.
+        terrain: or None for a plane.
+        ratio: ``(n,)`` height of each simulation's body over 1.75 m.
+        seed: of the places.
+        fixed: a clip is always played at the same place, whatever the batch.
+
+    Attributes:
+        place: ``(n, 4)`` x and y of the clip's origin in metres, cosine and sine of its turn.
+        tile: ``(n, 2)`` column and level of the course's tile, zero elsewhere.
+        field: the ground; None for a plane.
+
+    Raises:
+        InputError: a clip's path does not fit on the ground.
+    """
+
+    def __init__(
+        self,
+        reference: Reference,
+        terrain: Terrain | None,
+        ratio: np.ndarray,
+        seed: int,
+        fixed: bool,
+    ) -> None:
+        self._terrain, self._ratio, self._seed = terrain, ratio, seed
+        self.place = np.zeros((len(ratio), 4))
+        self.place[:, 2] = 1.0
+        self.tile = np.zeros((len(ratio), 2), np.int64)
+        self.field: HeightField | None = None
+        self.seed(seed)
+        if terrain is None:
+            return
+        self.field = height_field(terrain)
+        self._names = [zlib.crc32(name.encode()) for name in reference.names] if fixed else None
+        paths = [_path(reference, i) for i in range(len(reference.names))]
+        self._middle = np.array([middle for middle, _, _ in paths])
+        self._radius = np.array([radius for _, radius, _ in paths])
+        self._travel = np.array([travel for _, _, travel in paths])
+        reach = 0.5 * min(self.field.size) - MARGIN_M - self._radius * ratio.max()
+        if reach.min() < 0.0:
+            raise InputError(
+                f"its path is {2 * self._radius[reach.argmin()]:.1f} m across, the ground "
+                f"{min(self.field.size):g} m",
+                reference.names[int(reach.argmin())],
+                "leave it out or make the terrain larger (size_m, tile_m)",
+            )
+
+    def seed(self, seed: int) -> None:
+        """Begin the stream of places anew."""
+        # Another stream than that of clips: a terrain does not change which clips are drawn.
+        self._rng = np.random.default_rng([seed, 1])
+
+    def draw(self, ids: np.ndarray, clips: np.ndarray) -> None:
+        """Choose places of simulations ``ids`` that begin to play ``clips``."""
+        terrain, field = self._terrain, self.field
+        if terrain is None or field is None:
+            return
+        numbers = self._numbers(clips)
+        if terrain.direction == "any":
+            turn = 2.0 * np.pi * numbers[:, 0]
+        else:
+            turn = _ANGLES[terrain.direction] - self._travel[clips]
+        cos, sin = np.cos(turn), np.sin(turn)
+        ratio = self._ratio[ids]
+        room = 0.5 * np.array(field.size) - MARGIN_M - (self._radius[clips] * ratio)[:, None]
+        if terrain.kind == COURSE:
+            shape = np.array([len(terrain.tiles), terrain.levels])
+            self.tile[ids] = np.minimum((numbers[:, 1:3] * shape).astype(np.int64), shape - 1)
+            middle = tile_centre(terrain, self.tile[ids, 0], self.tile[ids, 1])
+            middle = np.clip(middle + 2.0 * numbers[:, 3:5] - 1.0, -room, room)
+        else:
+            middle = (2.0 * numbers[:, 3:5] - 1.0) * room
+        offset = self._middle[clips] * ratio[:, None]
+        self.place[ids, 0] = middle[:, 0] - (cos * offset[:, 0] - sin * offset[:, 1])
+        self.place[ids, 1] = middle[:, 1] - (sin * offset[:, 0] + cos * offset[:, 1])
+        self.place[ids, 2], self.place[ids, 3] = cos, sin
+
+    def _numbers(self, clips: np.ndarray) -> np.ndarray:
+        """Five even random numbers in [0, 1) for each episode."""
+        if self._names is None:
+            return self._rng.random((len(clips), 5))
+        return np.array(
+            [np.random.default_rng([self._seed, self._names[clip]]).random(5) for clip in clips]
+        )
+
+    def get_state(self) -> dict[str, object]:
+        """Random numbers and places, to resume from."""
+        return {
+            "rng": self._rng.bit_generator.state,
+            "place": self.place.copy(),
+            "tile": self.tile.copy(),
+        }
+
+    def set_state(self, state: dict[str, object]) -> None:
+        """Take up what ``get_state`` gave."""
+        self._rng.bit_generator.state = state["rng"]  # type: ignore[assignment]
+        self.place[:], self.tile[:] = state["place"], state["tile"]  # type: ignore[call-overload]
+
+
+def _path(reference: Reference, clip: int) -> tuple[np.ndarray, float, float]:
+    """Middle and radius of a circle around a clip's path, and the angle it travels at."""
+    rows = slice(int(reference.start[clip]), int(reference.end[clip]))
+    roots = reference.qpos[rows, :2].astype(float)
+    middle = 0.5 * (roots.min(axis=0) + roots.max(axis=0))
+    radius = float(np.linalg.norm(roots - middle, axis=-1).max())
+    travel = roots[-1] - roots[0]
+    if np.linalg.norm(travel) < _LEAST_TRAVEL_M:
+        return middle, radius, float(rot.heading(reference.qpos[rows.start, 3:7].astype(float)))
+    return middle, radius, float(np.arctan2(travel[1], travel[0]))
+
+
+def turned(place: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Vectors ``(m, ..., 3)`` of clips as they are in the world, at places ``(m, 4)``."""
+    shape = (len(place), *[1] * (vectors.ndim - 2))
+    cos, sin = place[:, 2].reshape(shape), place[:, 3].reshape(shape)
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
+
+
+def moved(place: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points ``(m, ..., 3)`` of clips as they are in the world, not lifted yet."""
+    out = turned(place, points)
+    out[..., 0] += place[:, 0].reshape((len(place), *[1] * (points.ndim - 2)))
+    out[..., 1] += place[:, 1].reshape((len(place), *[1] * (points.ndim - 2)))
+    return out
+
+
+def turn_quat(place: np.ndarray) -> np.ndarray:
+    """The turns of places ``(m, 4)`` as quaternions ``(m, 4)``, wxyz."""
+    return rot.yaw_quat(np.arctan2(place[:, 3], place[:, 2]))
+
+
+def placed_clip(clip: Clip, place: np.ndarray, field: HeightField | None) -> Clip:
+    """A clip as it is to be followed in the world: moved, turned and lifted by the ground.
+
+    Args:
+        clip: of the avatar's height.
+        place: ``(4,)`` where it is played.
+        field: the ground, None for a plane.
+    """
+    if field is None:
+        return clip
+    many = np.broadcast_to(place, (len(clip), 4))
+    turn = turn_quat(many)
+    position = moved(many, clip.link_position)
+    lift = field.ground_at(position[:, 0])
+    # Backward, as the reward's kernel takes it; the first frame as the second.
+    rise = FPS * np.diff(lift, prepend=lift[0])
+    rise[0] = rise[1] if len(rise) > 1 else 0.0
+    position[..., 2] += lift[:, None]
+    velocity = turned(many, clip.link_velocity)
+    velocity[..., 2] += rise[:, None]
+    qpos, qvel = clip.qpos.copy(), clip.qvel.copy()
+    qpos[:, :3], qvel[:, :3] = position[:, 0], velocity[:, 0]
+    qpos[:, 3:7] = rot.quat_multiply(turn, clip.qpos[:, 3:7])
+    return replace(
+        clip,
+        qpos=qpos,
+        qvel=qvel,
+        link_position=position,
+        link_quat=rot.quat_multiply(turn[:, None], clip.link_quat),
+        link_velocity=velocity,
+        link_angular_velocity=turned(many, clip.link_angular_velocity),
+    )

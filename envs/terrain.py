@@ -1,0 +1,239 @@
+"""Ground to walk on: options, names, and the seeded generator of height fields."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+
+import numpy as np
+
+from envs.terrain_kinds import SHAPES
+from questsim.errors import InputError
+from questsim.heightfield import HeightField
+
+COURSE = "course"
+KINDS: tuple[str, ...] = (*SHAPES, COURSE)
+DIRECTIONS = ("any", "up", "down", "across")
+MARGIN_M = 1.5
+"""Clips keep this far from the edge."""
+_FINE_M, _SLOPE_CELL_M = 0.1, 1.0
+_SEAM_M = 1.0
+"""Tiles of a course sink to the floor over this distance at their edges."""
+
+RANGES: dict[str, tuple[float, float]] = {
+    "amplitude_m": (0.0, 0.5),
+    "wavelength_m": (0.2, 20.0),
+    "slope_deg": (0.0, 30.0),
+    "step_height_m": (0.0, 0.3),
+    "step_depth_m": (0.2, 2.0),
+    "gap_m": (0.1, 0.6),
+    "gap_depth_m": (0.05, 1.0),
+    "difficulty": (0.0, 1.0),
+    "levels": (1, 10),
+    "tile_m": (4.0, 40.0),
+    "size_m": (8.0, 200.0),
+    "seed": (0, 2**32 - 1),
+}
+"""Least and greatest value of each option that is a number."""
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """What the ground is like; ``None`` instead of one is a plane.
+
+    Attributes:
+        kind: one of ``KINDS``: ``"flat"``, ``"rough"``, ``"waves"``, ``"slope"``, ``"stairs"``
+            (flights up and down along x), ``"steps"`` (blocks a step apart), ``"gaps"`` (ditches
+            across x), or ``"course"``: tiles of several kinds, one column each, harder from row
+            to row.
+        amplitude_m: rough ground and waves lie within ± this.
+        wavelength_m: of rough ground and waves.
+        slope_deg: steepness.
+        step_height_m, step_depth_m: of stairs; the height also of steps.
+        gap_m, gap_depth_m: width and depth of gaps.
+        direction: how clips travel: ``"up"`` along x (over stairs and gaps), ``"down"`` against it,
+            ``"across"`` along y, or ``"any"``, which is drawn for each episode.
+        difficulty: factor on amplitude, steepness, step height and gap width.
+        tiles: kinds of a course's columns.
+        levels: rows of a course; row ``i`` has difficulty ``(i + 1) / levels``.
+        tile_m: edge of a course's tiles.
+        size_m: edge of the ground, of every kind but a course.
+        seed: of its random numbers; same seed, same bits.
+
+    Raises:
+        InputError: an unknown kind or direction, or a number out of its range.
+    """
+
+    kind: str = "rough"
+    amplitude_m: float = 0.04
+    wavelength_m: float = 0.5
+    slope_deg: float = 8.0
+    step_height_m: float = 0.08
+    step_depth_m: float = 0.4
+    gap_m: float = 0.2
+    gap_depth_m: float = 0.3
+    direction: str = "any"
+    difficulty: float = 1.0
+    tiles: tuple[str, ...] = ("rough", "waves", "slope", "stairs", "steps", "gaps")
+    levels: int = 4
+    tile_m: float = 8.0
+    size_m: float = 48.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for what, value, known in (
+            ("kind", self.kind, KINDS),
+            ("direction", self.direction, DIRECTIONS),
+            *(("tile", tile, tuple(SHAPES)) for tile in self.tiles),
+        ):
+            if value not in known:
+                raise InputError(
+                    f"unknown {what} {value!r}", "terrain", f"choose from {', '.join(known)}"
+                )
+        if not self.tiles:
+            raise InputError("a course without tiles", "terrain")
+        for name, (least, most) in RANGES.items():
+            value = getattr(self, name)
+            if not isinstance(value, (int, float)) or not least <= value <= most:
+                raise InputError(f"{name} is {value!r}, not {least:g} to {most:g}", "terrain")
+        for name in ("levels", "seed"):
+            if getattr(self, name) != int(getattr(self, name)):
+                raise InputError(f"{name} is {getattr(self, name)!r}, no whole number", "terrain")
+
+    @property
+    def scaled(self) -> Terrain:
+        """The same at difficulty 1: with the amplitude, steepness, steps and gaps that it has."""
+        by = self.difficulty
+        return replace(
+            self,
+            amplitude_m=by * self.amplitude_m,
+            slope_deg=by * self.slope_deg,
+            step_height_m=by * self.step_height_m,
+            gap_m=max(by * self.gap_m, RANGES["gap_m"][0]),
+            difficulty=1.0,
+        )
+
+    @property
+    def cell_m(self) -> float:
+        """Distance of grid points: as coarse as the shape allows, since small cells are slow."""
+        if self.kind == "slope":
+            return _SLOPE_CELL_M
+        if self.kind == "rough":
+            return 0.5 * self.wavelength_m
+        if self.kind in ("waves", "flat"):
+            return max(_FINE_M, self.wavelength_m / 8.0)
+        return _FINE_M
+
+
+TERRAINS: dict[str, Terrain] = {
+    "flat": Terrain("flat"),
+    "rough": Terrain("rough"),
+    "waves": Terrain("waves", amplitude_m=0.1, wavelength_m=2.0),
+    "slope": Terrain("slope"),
+    "stairs": Terrain("stairs", direction="up"),
+    "steps": Terrain("steps", step_height_m=0.06),
+    "gaps": Terrain("gaps", direction="up"),
+    "course": Terrain("course"),
+}
+"""A terrain of each kind, by name: what ``QuestSimRough-v0`` and ``train.py --env rough`` use."""
+
+
+def terrain_named(text: str, where: str = "terrain") -> Terrain:
+    """The terrain of a name, with options changed if some follow.
+
+    Args:
+        text: e.g. ``"rough"`` or ``"rough:amplitude_m=0.08,seed=3"``.
+        where: for messages.
+
+    Raises:
+        InputError: there is no such terrain or option, or a value is out of range.
+    """
+    name, _, options = text.partition(":")
+    if name not in TERRAINS:
+        raise InputError(f"unknown terrain {name!r}", where, f"choose from {', '.join(TERRAINS)}")
+    known = {field.name: type(getattr(TERRAINS[name], field.name)) for field in fields(Terrain)}
+    changes = {}
+    for option in filter(None, options.split(",")):
+        key, equals, value = option.partition("=")
+        if not equals or key not in known or key in ("kind", "tiles"):
+            settable = ", ".join(k for k in known if k not in ("kind", "tiles"))
+            raise InputError(f"{option!r} is no option of a terrain", where, f"it has {settable}")
+        try:
+            changes[key] = known[key](value)
+        except ValueError as error:
+            raise InputError(f"{value!r} is no {known[key].__name__}", f"{where} {key}") from error
+    return replace(TERRAINS[name], **changes)
+
+
+@lru_cache(maxsize=32)
+def height_field(terrain: Terrain) -> HeightField:
+    """The ground itself; made once for each terrain, do not write to it."""
+    if terrain.kind == COURSE:
+        return _course(terrain)
+    cell = terrain.cell_m
+    points = int(np.ceil(terrain.size_m / cell)) + 1
+    half = 0.5 * cell * (points - 1)
+    x, y = np.meshgrid(np.linspace(-half, half, points), np.linspace(-half, half, points))
+    height, carved = _shape(terrain.scaled, x, y, np.random.default_rng(terrain.seed))
+    return HeightField.of(height, cell, carved)
+
+
+def _shape(
+    terrain: Terrain, x: np.ndarray, y: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Heights, and the same with gaps cut in, if it has any."""
+    height = SHAPES[terrain.kind](terrain, x, y, rng)
+    return (np.zeros_like(height), height) if terrain.kind == "gaps" else (height, None)
+
+
+def tile_centre(terrain: Terrain, column: np.ndarray, level: np.ndarray) -> np.ndarray:
+    """Middle of a course's tiles ``(..., 2)`` in metres."""
+    across = (len(terrain.tiles) - 1) / 2.0
+    along = (terrain.levels - 1) / 2.0
+    return terrain.tile_m * np.stack([column - across, level - along], axis=-1)
+
+
+def _course(terrain: Terrain) -> HeightField:
+    """Tiles of every kind and level, which meet at the height of the floor, and floor around."""
+    cell, tile = _FINE_M, terrain.tile_m
+    inner = np.linspace(-0.5 * tile, 0.5 * tile, round(tile / cell) + 1)
+    x, y = np.meshgrid(inner, inner)
+    rim = np.clip((0.5 * tile - np.maximum(abs(x), abs(y))) / _SEAM_M, 0.0, 1.0)
+    shape = (terrain.levels, len(terrain.tiles))
+    steps = len(inner) - 1
+    border = round(tile / cell)
+    grid = np.zeros([count * steps + 1 + 2 * border for count in shape])
+    carved = grid.copy()
+    for level in range(shape[0]):
+        for column, kind in enumerate(terrain.tiles):
+            rng = np.random.default_rng([terrain.seed, level, column])
+            height, cut = _tile(kind, (level + 1) / terrain.levels, x, y, rim, rng)
+            rows = slice(border + level * steps, border + (level + 1) * steps + 1)
+            columns = slice(border + column * steps, border + (column + 1) * steps + 1)
+            grid[rows, columns] = height
+            carved[rows, columns] = cut
+    return HeightField.of(grid, cell, carved)
+
+
+def _tile(
+    kind: str,
+    difficulty: float,
+    x: np.ndarray,
+    y: np.ndarray,
+    rim: np.ndarray,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Heights of a tile with and without gaps, zero at its edge."""
+    terrain = replace(TERRAINS[kind], difficulty=difficulty).scaled
+    if kind in ("slope", "stairs"):
+        # From the edge up to the middle, whichever way one comes.
+        inward = 0.5 * (x.max() - x.min()) - np.maximum(abs(x), abs(y)) - _SEAM_M
+        most = 0.5 * (x.max() - x.min()) - _SEAM_M - 1.0
+        inward = np.clip(inward, 0.0, most)
+        if kind == "stairs":
+            rise = np.floor(inward / terrain.step_depth_m + 1e-9) * terrain.step_height_m
+        else:
+            rise = np.tan(np.deg2rad(terrain.slope_deg)) * inward
+        return rise, rise
+    height, carved = _shape(terrain, x, y, rng)
+    return height * rim, (height if carved is None else carved) * rim

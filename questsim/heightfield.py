@@ -1,0 +1,119 @@
+"""A piece of ground as heights on a square grid: looked up, and built into MuJoCo models."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+STANCE_M = 0.25
+"""The ground under somebody is averaged with a Gaussian weight of this width: half a stride."""
+_BASE_M = 0.5
+_LEAST_RELIEF_M = 1e-3
+"""MuJoCo divides heights by their range."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeightField:
+    """Heights above the user's own floor, ``[row, column]`` along y and x.
+
+    Between grid points the surface is MuJoCo's: two triangles a cell. Beyond the edge, lookups
+    give the edge's height, and there is nothing to stand on.
+
+    Attributes:
+        height: ``(rows, columns)`` of the surface in metres.
+        ground: ``(rows, columns)`` what counts as the floor under somebody who stands there:
+            the surface averaged over a stance, gaps left out.
+        cell_m: distance of grid points.
+        origin: x and y of ``height[0, 0]`` in metres.
+    """
+
+    height: np.ndarray
+    ground: np.ndarray
+    cell_m: float
+    origin: tuple[float, float]
+
+    @staticmethod
+    def of(
+        height: np.ndarray,
+        cell_m: float,
+        carved: np.ndarray | None = None,
+        origin: tuple[float, float] | None = None,
+    ) -> HeightField:
+        """A field with its ground.
+
+        Args:
+            height: ``(rows, columns)`` metres, at least two of each.
+            cell_m: distance of grid points.
+            carved: heights with gaps cut into them, if the surface has any; ``height`` is then
+                what the ground is averaged from.
+            origin: of ``height[0, 0]``; by default the field's middle is at x = y = 0.
+        """
+        rows, columns = height.shape
+        middle = (-0.5 * cell_m * (columns - 1), -0.5 * cell_m * (rows - 1))
+        surface = height if carved is None else carved
+        return HeightField(
+            height=surface.astype(np.float32).astype(float),
+            ground=gaussian_filter(height.astype(float), STANCE_M / cell_m, mode="nearest"),
+            cell_m=cell_m,
+            origin=middle if origin is None else origin,
+        )
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Extent along x and y in metres."""
+        rows, columns = self.height.shape
+        return (columns - 1) * self.cell_m, (rows - 1) * self.cell_m
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Its middle, x and y in metres."""
+        return self.origin[0] + 0.5 * self.size[0], self.origin[1] + 0.5 * self.size[1]
+
+    def height_at(self, points: np.ndarray) -> np.ndarray:
+        """Height of the surface ``(...)`` at points ``(..., 2 or 3)``, exactly as it collides."""
+        row, column, u, v = self._cell(points)
+        low, right = self.height[row, column], self.height[row, column + 1]
+        up, far = self.height[row + 1, column], self.height[row + 1, column + 1]
+        # MuJoCo cuts each cell from its lowest to its highest row and column.
+        return np.where(
+            u >= v,
+            low + u * (right - low) + v * (far - right),
+            low + v * (up - low) + u * (far - up),
+        )
+
+    def ground_at(self, points: np.ndarray) -> np.ndarray:
+        """The floor under somebody ``(...)`` at points ``(..., 2 or 3)``; bilinear."""
+        row, column, u, v = self._cell(points)
+        ground = self.ground
+        near = ground[row, column] * (1.0 - u) + ground[row, column + 1] * u
+        far = ground[row + 1, column] * (1.0 - u) + ground[row + 1, column + 1] * u
+        return near * (1.0 - v) + far * v
+
+    def _cell(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Row, column and the place within the cell, 0 to 1 along x and y."""
+        rows, columns = self.height.shape
+        x = np.clip((points[..., 0] - self.origin[0]) / self.cell_m, 0.0, columns - 1.0)
+        y = np.clip((points[..., 1] - self.origin[1]) / self.cell_m, 0.0, rows - 1.0)
+        column = np.minimum(x.astype(np.int64), columns - 2)
+        row = np.minimum(y.astype(np.int64), rows - 2)
+        return row, column, x - column, y - row
+
+    def replace_floor(self, spec: mujoco.MjSpec) -> None:
+        """Turn the plane ``floor`` of a spec into this field."""
+        low = float(self.height.min())
+        relief = max(float(self.height.max()) - low, _LEAST_RELIEF_M)
+        rows, columns = self.height.shape
+        spec.add_hfield(
+            name="terrain",
+            nrow=rows,
+            ncol=columns,
+            size=[0.5 * self.size[0], 0.5 * self.size[1], relief, _BASE_M],
+            userdata=((self.height - low) / relief).ravel(),
+        )
+        floor = spec.geom("floor")
+        floor.type = mujoco.mjtGeom.mjGEOM_HFIELD
+        floor.hfieldname = "terrain"
+        floor.pos = [*self.centre, low]
