@@ -189,7 +189,10 @@ def send(address: str, *messages: bytes | str) -> None:
                 await connection.send(message)
             await asyncio.sleep(0.2)
 
-    asyncio.run(talk())
+    # Playwright has an event loop of its own in this thread.
+    thread = threading.Thread(target=lambda: asyncio.run(talk()))
+    thread.start()
+    thread.join()
 
 
 @pytest.mark.parametrize("rubbish", [b"\xff\x00rubbish", "text", b"", os.urandom(1000)])

@@ -10,17 +10,25 @@ from typing import Any
 import numpy as np
 
 from agents.live.drivers import Driver, config_for, usable_sensors
+from envs.config import EnvConfig
 from envs.core import BatchSim
+from envs.terrain import COURSE, RANGES, TERRAINS, Terrain
 from questsim import rotations as rot
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
 from questsim.errors import InputError
 from questsim.motion.clip import FPS, Clip
 from questsim.sensors import device_poses, sensor_set
 from questsim.skeleton import LINKS
-from questsim.viewing.live import SPEEDS, Choices, Settings, Snapshot, Stage
+from questsim.viewing.live import ROUGHNESS, SPEEDS, Choices, Settings, Snapshot, Stage
 
 AFTER_FALL_S, AFTER_END_S = 2.0, 0.7
 """How long an episode that is over goes on before the clip begins again."""
+
+GROUNDS = tuple(name for name in TERRAINS if name != COURSE)
+"""A course's tiles are smaller than many clips' paths."""
+
+SEEN_M = 14.0
+"""How far around the clip's path viewers see the ground."""
 
 PUSH_S = 0.2
 MAX_PUSH_N = 1000.0
@@ -37,7 +45,7 @@ class DemoSession:
     Args:
         clips: what can be followed; names are unique.
         drivers: by name, functions that make what moves the avatar; each is called once.
-        settings: to begin with.
+        settings: to begin with; empty sensors are the agent's own.
     """
 
     def __init__(
@@ -52,6 +60,8 @@ class DemoSession:
         self._make_driver = dict(drivers)
         self._drivers: dict[str, Driver] = {}
         self._lock = threading.RLock()
+        if not settings.sensors:
+            settings = replace(settings, sensors=self._driver(settings.agent).needs.sensors)
         self._settings = settings
         self._stage = Stage(0)
         self._step, self._begun = 0, 0
@@ -75,7 +85,21 @@ class DemoSession:
             clips=tuple(self._clips),
             agents=tuple(self._make_driver),
             sensors=usable_sensors(self._driver(self._settings.agent)),
+            terrains=GROUNDS,
         )
+
+    def playlist(self) -> list[str]:
+        """Names of the present clip, then of one clip of each other kind of motion, then the rest.
+
+        The one of a kind is its middle one: libraries often begin and end with extremes.
+        """
+        present = self._clips[self._settings.clip]
+        kinds: dict[str, list[str]] = {present.kind: []}
+        for clip in self._clips.values():
+            kinds.setdefault(clip.kind, []).append(clip.name)
+        firsts = [present.name]
+        firsts += [names[len(names) // 2] for kind, names in kinds.items() if kind != present.kind]
+        return list(dict.fromkeys([*firsts, *self._clips]))
 
     def snapshot(self) -> Snapshot:
         """The present moment; its arrays are the viewer's own."""
@@ -189,7 +213,7 @@ class DemoSession:
         settings = self._settings
         if settings.sensors not in usable_sensors(driver):
             settings = replace(settings, sensors=driver.needs.sensors)
-        if config_for(driver, settings.sensors, settings.height_m) == self._sim.config:
+        if _config(driver, settings) == self._sim.config:
             driver.bind(self._sim)
             driver.reset()
             return
@@ -230,7 +254,7 @@ class DemoSession:
     def _begin(self, sim: BatchSim) -> None:
         """The clip's first frame."""
         sim.reset()
-        self._placed = self._clips[self._settings.clip].scaled(float(sim.heights[0]))
+        self._placed = sim.placed_clip(0, self._clips[self._settings.clip])
         self._drivers[self._settings.agent].reset()
         self._outcome, self._hold, self._push_left = "", 0, 0
 
@@ -258,6 +282,16 @@ class DemoSession:
         height = _number(settings.height_m, "height")
         if not MIN_HEIGHT_M <= height <= MAX_HEIGHT_M:
             raise InputError(f"height {height:g} m is not within {MIN_HEIGHT_M}-{MAX_HEIGHT_M} m")
+        if settings.terrain not in GROUNDS:
+            known = ", ".join(GROUNDS)
+            raise InputError(
+                f"there is no terrain {settings.terrain!r}", fix=f"choose from {known}"
+            )
+        roughness = _number(settings.roughness, "roughness")
+        if not ROUGHNESS[0] <= roughness <= ROUGHNESS[1]:
+            raise InputError(
+                f"roughness {roughness:g} is not within {ROUGHNESS[0]:g} and {ROUGHNESS[1]:g}"
+            )
         if settings.speed not in SPEEDS:
             raise InputError(f"speed {settings.speed!r} is not one of {SPEEDS}")
 
@@ -265,14 +299,36 @@ class DemoSession:
         """A simulation of the settings, at the clip's first frame."""
         self._check(settings)
         driver = self._driver(settings.agent)
-        config = config_for(driver, settings.sensors, float(settings.height_m))
+        config = _config(driver, settings)
         sim = BatchSim([self._clips[settings.clip]], config, 1, num_threads=1)
         driver.bind(sim)
         self._settings = settings
         self._forces = sim.batch.bind("xfrc_applied")
-        self._stage = Stage(self._stage.number + 1, float(settings.height_m))
         self._begin(sim)
+        field = sim.placement.field
+        ground = None if field is None else field.around(self._placed.qpos[:, :2], SEEN_M)
+        self._stage = Stage(self._stage.number + 1, float(settings.height_m), ground)
         return sim
+
+
+def _config(driver: Driver, settings: Settings) -> EnvConfig:
+    """The environment of a session's settings."""
+    ground = scaled_terrain(settings.terrain, settings.roughness)
+    return config_for(driver, settings.sensors, float(settings.height_m), ground)
+
+
+def scaled_terrain(name: str, roughness: float) -> Terrain | None:
+    """The named terrain with its relief multiplied; None for flat ground."""
+    if name == "flat":
+        return None
+    terrain = TERRAINS[name]
+    return replace(
+        terrain,
+        amplitude_m=terrain.amplitude_m * roughness,
+        slope_deg=terrain.slope_deg * roughness,
+        step_height_m=terrain.step_height_m * roughness,
+        gap_m=max(terrain.gap_m * roughness, RANGES["gap_m"][0]),
+    )
 
 
 def _number(value: Any, what: str) -> float:

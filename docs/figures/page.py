@@ -7,14 +7,14 @@ little after a push.
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import tyro
 from PIL import Image
 
-from agents.live.commands import demo_session, watch
+from agents.live.commands import DemoArgs, demo_session, watch
 from questsim.cli import guarded
 from questsim.viewing.live import Session
 from questsim.viewing.page import Page
@@ -26,14 +26,8 @@ from tests.browser import browser_page
 class PictureArgs:
     """Photograph the demo's page."""
 
-    agent: str = "demo"
-    """A shipped policy's name, a run folder or a policy folder."""
-    motions: str = "synthetic"
-    """Where to look the clip up."""
-    clip: str | None = None
-    """The clip to follow; by default the first of the motions."""
-    terrain: str = "flat"
-    """One of the page's terrains."""
+    demo: tyro.conf.OmitArgPrefixes[DemoArgs] = field(default_factory=DemoArgs)
+    """What the page shows."""
     seconds: float = 2.0
     """When in the clip the picture is taken."""
     push_n: float = 60.0
@@ -50,8 +44,7 @@ def take(args: PictureArgs) -> None:
     """Serve the page, look at it in a browser, write the picture."""
     stop = threading.Event()
     with Page(LOOPBACK, 0) as page:
-        session = demo_session(args.agent, args.motions, args.clip)
-        session.change(terrain=args.terrain)
+        session = demo_session(args.demo)
         session.pause(True)
         server = threading.Thread(target=watch, args=(page, session, stop))
         server.start()

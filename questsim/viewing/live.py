@@ -11,25 +11,23 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
+from questsim.heightfield import HeightField
+from questsim.skeleton import FOOT_LINKS, LINKS
+
+NEWTONS_PER_METRE = 1500.0
+"""Of force arrows: a foot that carries 70 kg has one of 46 cm."""
+PUSH_SCALE = 5.0
+"""Pushes are drawn this much longer: one of 100 N has an arrow of 33 cm."""
+
+_ASIDE_M = 0.14
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0)
 """How fast time may go, as multiples of real time."""
 
-
-@dataclass(frozen=True)
-class Ground:
-    """A floor that is not flat, as a grid of heights.
-
-    Attributes:
-        heights: ``(rows, columns)`` metres; rows go along y, columns along x, both upwards.
-        centre: ``(2,)`` x and y of the middle of the grid in metres.
-        half_size: ``(2,)`` metres from the middle to the edges along x and y.
-    """
-
-    heights: np.ndarray
-    centre: tuple[float, float]
-    half_size: tuple[float, float]
+ROUGHNESS = (0.0, 2.0)
+"""Least and greatest multiple of a terrain's own relief."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +37,13 @@ class Stage:
     Attributes:
         number: grows with every change.
         height_m: the avatar's stature.
-        ground: the floor; None for a flat one at z = 0.
+        ground: the floor near the clip's path; None for a flat one at z = 0.
         ball_radius_m: of the ball, None without one.
     """
 
     number: int
     height_m: float = DEFAULT_HEIGHT_M
-    ground: Ground | None = None
+    ground: HeightField | None = None
     ball_radius_m: float | None = None
 
 
@@ -92,13 +90,34 @@ class Snapshot:
     note: str = ""
 
 
+def force_arrows(snapshot: Snapshot) -> np.ndarray:
+    """Where arrows of the forces on both feet and of a push begin and end ``(3, 2, 3)``, metres.
+
+    Those of feet stand beside the leg, which would hide them; a push ends at the chest. No force,
+    no length.
+    """
+    feet = list(FOOT_LINKS)
+    outward = rot.quat_rotate(snapshot.quat[feet], np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]))
+    outward[:, 2] = -0.3  # about the height of the sole
+    start = snapshot.position[feet] + _ASIDE_M * outward
+    push = snapshot.push_n / NEWTONS_PER_METRE * PUSH_SCALE
+    strength = max(float(np.linalg.norm(push)), 1e-9)
+    chest = snapshot.position[LINKS.index("chest")] + [0.0, 0.0, 0.1] - _ASIDE_M * push / strength
+    begin, end = (
+        [*start, chest - push],
+        [*(start + snapshot.contact_force / NEWTONS_PER_METRE), chest],
+    )
+    return np.stack([begin, end], axis=1)
+
+
 @dataclass(frozen=True)
 class Settings:
     """What a viewer can choose.
 
     Attributes:
         clip, agent, sensors, terrain: names out of ``Choices``.
-        roughness_cm: how rough the terrain is, within ``Choices.roughness_cm``.
+        roughness: multiplies what the terrain has of its own, such as ±4 cm of rough ground or
+            steps of 8 cm; within ``ROUGHNESS``.
         height_m: stature of user and avatar.
         speed: how fast time goes; 1 is real time.
         ball: whether a ball is there to be kicked.
@@ -108,7 +127,7 @@ class Settings:
     agent: str
     sensors: str = "H+2C"
     terrain: str = "flat"
-    roughness_cm: float = 4.0
+    roughness: float = 1.0
     height_m: float = DEFAULT_HEIGHT_M
     speed: float = 1.0
     ball: bool = False
@@ -122,7 +141,6 @@ class Choices:
     agents: tuple[str, ...]
     sensors: tuple[str, ...]
     terrains: tuple[str, ...] = ("flat",)
-    roughness_cm: tuple[float, float] = (0.0, 0.0)
     ball: bool = False
 
 

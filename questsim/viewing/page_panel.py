@@ -13,7 +13,7 @@ import viser.uplot
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
 from questsim.errors import InputError
 from questsim.motion.clip import FPS
-from questsim.viewing.live import SPEEDS, Session, Settings, Snapshot, Trace
+from questsim.viewing.live import ROUGHNESS, SPEEDS, Session, Settings, Snapshot, Trace
 from questsim.viewing.page_scene import PageScene
 
 _SPEED_LABELS = {f"{speed:g} x": speed for speed in SPEEDS}
@@ -84,7 +84,7 @@ class PagePanel:
         if len(choices.terrains) > 1 or choices.ball:
             with gui.add_folder("World"):
                 self._choice("Terrain", "terrain", choices.terrains)
-                self._slider("Roughness (cm)", "roughness_cm", choices.roughness_cm, 0.5)
+                self._slider("Roughness", "roughness", ROUGHNESS, 0.1)
                 if choices.ball:
                     ball = self._fields["ball"] = gui.add_checkbox("Ball", settings.ball)
                     self._on_update(ball, lambda: session.change(ball=bool(ball.value)))

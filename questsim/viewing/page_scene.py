@@ -13,16 +13,13 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from questsim.body import DEFAULT_HEIGHT_M
-from questsim.skeleton import FOOT_LINKS, LINKS
+from questsim.heightfield import HeightField
+from questsim.skeleton import LINKS
 from questsim.viewing.costume import AVATAR, REFERENCE, Piece, costume_pieces
-from questsim.viewing.live import Ground, Snapshot, Stage
+from questsim.viewing.live import Snapshot, Stage, force_arrows
 from questsim.viewing.render import metre_tile
 
 SKY = (226, 232, 240)
-NEWTONS_PER_METRE = 1500.0
-"""A foot that carries 70 kg has an arrow of 46 cm; a push of 100 N, drawn 5 times longer, 33 cm."""
-
-_PUSH_SCALE = 5.0
 _FLAT_HALF_SIZE_M = 40.0
 _GHOST_OPACITY = 0.28
 _ARROW_HEAD_M = 0.06
@@ -157,7 +154,7 @@ def _light(server: viser.ViserServer) -> None:
     """Sun, sky and haze, and from where a viewer first looks."""
     scene = server.scene
     scene.set_background_image(np.full((2, 2, 3), SKY, np.uint8), format="png")
-    scene.configure_fog(14.0, 38.0, color=SKY)
+    scene.configure_fog(8.0, 22.0, color=SKY)
     scene.configure_environment_map(None)
     scene.configure_default_lights(enabled=False)
     scene.add_light_ambient("/lights/ambient", intensity=0.9)
@@ -178,11 +175,8 @@ def _light(server: viser.ViserServer) -> None:
 
 def _arrow_points(snapshot: Snapshot) -> np.ndarray:
     """Ends ``(3, 2, 3)`` of the arrows of both feet's forces and of a push."""
-    feet = snapshot.position[list(FOOT_LINKS)]
+    points = force_arrows(snapshot)
     chest = snapshot.position[LINKS.index("chest")] + [0.0, 0.0, 0.1]
-    push = _PUSH_SCALE * snapshot.push_n / NEWTONS_PER_METRE
-    ends = feet + snapshot.contact_force / NEWTONS_PER_METRE
-    points = np.stack([np.vstack([feet, chest - push]), np.vstack([ends, chest])], axis=1)
     # An arrow shorter than its head would be all head: it waits inside the chest.
     hidden = np.linalg.norm(points[:, 1] - points[:, 0], axis=-1) < _ARROW_HEAD_M
     points[hidden] = chest - [[0.0, 0.0, 0.04], [0.0, 0.0, -0.02]]
@@ -225,22 +219,21 @@ def _textured(uv: np.ndarray, image: Image.Image, roughness: float = 1.0) -> Tex
     return TextureVisuals(uv=uv, material=material)
 
 
-def ground_mesh(ground: Ground | None) -> trimesh.Trimesh:
+def ground_mesh(ground: HeightField | None) -> trimesh.Trimesh:
     """The floor with its checks of one metre; a flat one is 80 m wide."""
     if ground is None:
-        half = (_FLAT_HALF_SIZE_M, _FLAT_HALF_SIZE_M)
-        ground = Ground(np.zeros((2, 2)), (0.0, 0.0), half)
-    rows, columns = ground.heights.shape
-    x = ground.centre[0] + np.linspace(-1.0, 1.0, columns) * ground.half_size[0]
-    y = ground.centre[1] + np.linspace(-1.0, 1.0, rows) * ground.half_size[1]
+        ground = HeightField.of(np.zeros((2, 2)), 2.0 * _FLAT_HALF_SIZE_M)
+    rows, columns = ground.height.shape
+    x = ground.origin[0] + ground.cell_m * np.arange(columns)
+    y = ground.origin[1] + ground.cell_m * np.arange(rows)
     xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    vertices = np.column_stack([xy, ground.heights.ravel()])
+    vertices = np.column_stack([xy, ground.height.ravel()])
     corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     # Cut as MuJoCo cuts the cells of a height field.
     lower = np.stack([corner, corner + 1, corner + columns + 1], axis=-1)
     upper = np.stack([corner, corner + columns + 1, corner + columns], axis=-1)
     # Normals are given, since GLB files without them are shaded flat.
-    slope_y, slope_x = np.gradient(ground.heights, y, x)
+    slope_y, slope_x = np.gradient(ground.height, y, x)
     normals = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)], axis=-1).reshape(-1, 3)
     mesh = trimesh.Trimesh(
         vertices=vertices,

@@ -72,6 +72,21 @@ class Marker:
     rgba: tuple[float, float, float, float] = (0.10, 0.62, 0.95, 1.0)
 
 
+@dataclass(frozen=True)
+class Arrow:
+    """An arrow, such as a force.
+
+    Attributes:
+        start, end: ``(3,)`` metres.
+        radius: of its shaft in metres.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    radius: float = 0.014
+    rgba: tuple[float, float, float, float] = (0.12, 0.63, 0.35, 1.0)
+
+
 class SceneRenderer:
     """Renders figures in given poses; a context manager that frees the OpenGL context.
 
@@ -120,7 +135,10 @@ class SceneRenderer:
         return markers
 
     def render(
-        self, poses: Sequence[np.ndarray], camera: Camera, markers: Sequence[Marker] = ()
+        self,
+        poses: Sequence[np.ndarray],
+        camera: Camera,
+        markers: Sequence[Marker | Arrow] = (),
     ) -> np.ndarray:
         """A picture ``(height, width, 3)`` uint8 of each figure in its pose ``(40,)``."""
         self._data.qpos[:] = np.concatenate(poses)
@@ -135,7 +153,10 @@ class SceneRenderer:
         scene.flags[mujoco.mjtRndFlag.mjRND_HAZE] = True
         _aim_lights(scene, camera)
         for marker in markers:
-            _add_box(scene, marker)
+            if isinstance(marker, Arrow):
+                _add_arrow(scene, marker)
+            else:
+                _add_box(scene, marker)
         return self._renderer.render()
 
 
@@ -256,4 +277,15 @@ def _add_box(scene: mujoco.MjvScene, marker: Marker) -> None:
         marker.matrix.ravel(),
         np.array(marker.rgba, np.float32),
     )
+    scene.ngeom += 1
+
+
+def _add_arrow(scene: mujoco.MjvScene, arrow: Arrow) -> None:
+    geom = scene.geoms[scene.ngeom]
+    nothing = np.zeros(3)
+    kind = mujoco.mjtGeom.mjGEOM_ARROW
+    mujoco.mjv_initGeom(
+        geom, kind, nothing, nothing, np.eye(3).ravel(), np.array(arrow.rgba, np.float32)
+    )
+    mujoco.mjv_connector(geom, kind, arrow.radius, arrow.start, arrow.end)
     scene.ngeom += 1
