@@ -9,6 +9,9 @@ from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.gym import QuestEnv, QuestVectorEnv, register
 from envs.kinematic import KinematicVecEnv
+from envs.objects import WorldObject
+from envs.pushes import Pushes
+from envs.randomisation import Randomisation
 from envs.sb3 import QuestVecEnv
 from envs.terrain import Terrain, terrain_named
 
@@ -16,10 +19,13 @@ __all__ = [
     "BatchSim",
     "EnvConfig",
     "KinematicVecEnv",
+    "Pushes",
     "QuestEnv",
     "QuestVecEnv",
     "QuestVectorEnv",
+    "Randomisation",
     "Terrain",
+    "WorldObject",
     "terrain_named",
 ]
 

@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from envs.objects import WorldObject
+from envs.pushes import Pushes
+from envs.randomisation import Randomisation
 from envs.terrain import Terrain, terrain_named
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
 from questsim.errors import InputError
@@ -39,6 +42,9 @@ class EnvConfig:
         terrain: the ground; None for a plane. Clips are played at places drawn for each episode,
             and with ``fixed_start`` at the same place every time.
         height_scan: append the heights of the ground around the avatar to the observation.
+        pushes: forces on the avatar at random times, None for none.
+        objects: things in its way.
+        randomisation: what differs between the simulations of a batch, None for nothing.
     """
 
     sensors: str = "H+2C"
@@ -55,6 +61,9 @@ class EnvConfig:
     noise: SensorNoise | None = None
     terrain: Terrain | None = None
     height_scan: bool = False
+    pushes: Pushes | None = None
+    objects: tuple[WorldObject, ...] = ()
+    randomisation: Randomisation | None = None
 
     def __post_init__(self) -> None:
         imus = [name for name in sensor_set(self.sensors) if DEVICES[name].kind == "imu"]

@@ -16,9 +16,11 @@ from mujoco import batch as mujoco_batch
 from envs import kernels
 from envs.config import EnvConfig
 from envs.layout import SCAN_POINTS, observation_layout, observation_size
-from envs.placement import Placement, moved, placed_clip, turn_quat, turned
+from envs.placement import moved, placed_clip, turn_quat, turned
+from envs.randomisation import varied_models
 from envs.reference import Reference
 from envs.sampler import Sampler
+from envs.surroundings import Surroundings
 from envs.world import build_world
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M, Body
@@ -61,7 +63,7 @@ class BatchSim:
         fell, ended, unstable: ``(n,)`` bool of the last step: the error passed its limit (or
             the physics failed), the clip ended, the physics was not finite.
         clip, frame: ``(n,)`` the clip played and the row of the reference now.
-        placement: where each clip is played on the terrain; its ``field`` is the ground.
+        placement, pusher, objects, signals: what surrounds the avatars, see ``Surroundings``.
         unstable_count: resets for physics that was not finite, since the beginning.
     """
 
@@ -83,14 +85,14 @@ class BatchSim:
         self.layout = observation_layout(self.config)
         self.heights = self._heights()
         self._ratio = self.heights / DEFAULT_HEIGHT_M
-        self._build_batch(num_threads)
+        self._build_batch(num_threads, seed)
         self._rng = np.random.default_rng(seed)
         self._sampler = Sampler(self.reference, self.config.sampling == "failure")
         self._all = np.arange(n)
         self._floor = np.zeros(n)
-        self.placement = Placement(
-            self.reference, self.config.terrain, self._ratio, seed, self.config.fixed_start
-        )
+        self._around = Surroundings(self.config, self.reference, self._ratio, self.batch, seed)
+        self.placement, self.pusher = self._around.placement, self._around.pusher
+        self.objects, self.signals = self._around.objects, self._around.signals
         field = self.placement.field
         self._surface = np.zeros((1, 1)) if field is None else field.height
         self._ground = np.zeros((1, 1)) if field is None else field.ground
@@ -108,6 +110,7 @@ class BatchSim:
         self.unstable_count = 0
         self.clip, self.frame = np.zeros(n, np.int64), np.zeros(n, np.int64)
         self._end, self._first = np.zeros(n, np.int64), np.zeros(n, np.int64)
+        self._begin = np.zeros(n, np.int64)
         self.contact_force = np.zeros((n, 2, 3))
         self._previous_force = np.zeros((n, 2))
 
@@ -123,16 +126,22 @@ class BatchSim:
         # Dealt out evenly over the clips, so that few environments still see all statures.
         return self.reference.heights[np.arange(n) * len(self.reference.heights) // n]
 
-    def _build_batch(self, num_threads: int) -> None:
+    def _build_batch(self, num_threads: int, seed: int) -> None:
         config = self.config
 
         def build(height: float) -> Body:
             return build_world(
-                float(height), config.body_preset, config.self_collision, config.terrain
+                float(height),
+                config.body_preset,
+                config.self_collision,
+                config.terrain,
+                config.objects,
             )
 
         self.body = build(DEFAULT_HEIGHT_M)
         models = [build(height).model for height in self.heights]
+        if config.randomisation is not None and config.randomisation.of_bodies:
+            models = varied_models(models, config.randomisation, seed)
         self.substeps = self.body.substeps
         self.batch = mujoco_batch.Batch(
             models[0], self.num_envs, nthread=num_threads, persistent=True
@@ -215,11 +224,12 @@ class BatchSim:
         reference = self.reference
         self.clip[ids], self._first[ids] = clips, first
         self.frame[ids] = reference.start[clips] + first
-        self._end[ids] = reference.end[clips]
+        self._begin[ids], self._end[ids] = reference.start[clips], reference.end[clips]
         rows = self.frame[ids]
         self.placement.draw(ids, clips)
         self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE.value))
         self._pose(ids, rows)
+        self._around.begin(ids, rows, clips)
         self.batch.forward(ids, stage=_CURRENT)
         self.contact_force[ids] = 0.0
         self._previous_force[ids] = 0.0
@@ -261,6 +271,7 @@ class BatchSim:
         """
         np.clip(action, -1.0, 1.0, out=self.ctrl)
         self.ctrl *= self.torque_limits
+        self.pusher.apply()
         self.batch.step(nstep=self.substeps, stage=_CURRENT)
         self._after_step()
 
@@ -282,7 +293,8 @@ class BatchSim:
         self._previous_force[:] = self.contact_force[..., 2]
         if physics:
             # The sensor reports the force of each foot on the floor.
-            np.negative(self._sensors.reshape(-1, 2, 3), out=self.contact_force)
+            feet = self._sensors[:, :6].reshape(-1, 2, 3)
+            np.negative(feet, out=self.contact_force)
         self.frame += 1
         np.minimum(self.frame, self._end - 1, out=self.frame)
         self._run(self._score_chunk, self._chunks)
@@ -292,6 +304,7 @@ class BatchSim:
         self.reward[self.unstable], self.reward_terms[self.unstable] = 0.0, 0.0
         np.logical_or(self.error > self.config.max_error_m, self.unstable, out=self.fell)
         np.logical_and(self.frame >= self._end - 1, ~self.fell, out=self.ended)
+        self.signals.advance(self.frame + self._user_offsets[-1] - self.signals.late)
         self._observe(self._all)
         if self.unstable.any():
             broken = self.observation[self.unstable]
@@ -330,9 +343,9 @@ class BatchSim:
         reference = self.reference
         kernels.observe(
             first, last, ids, self.qpos, self.qvel, self._xpos, self._xquat, self._cvel,
-            self._com, self.contact_force, self.frame, self._end, self._ratio, self.heights,
-            reference.qpos, reference.qvel, reference.position, reference.quat,
-            reference.dev_position, reference.dev_quat,
+            self._com, self.contact_force, self.frame, self._begin, self._end, self._ratio,
+            self.heights, reference.qpos, reference.qvel, reference.position, reference.quat,
+            reference.dev_position, reference.dev_quat, self.signals.late, self.signals.newest,
             self._user_offsets, self._privileged, self.placement.place, self._ground, self._grid,
             self._floor, self.observation,
         )  # fmt: skip
@@ -346,7 +359,7 @@ class BatchSim:
     def seed(self, seed: int) -> None:
         """Begin the stream of random clips, frames and places anew."""
         self._rng = np.random.default_rng(seed)
-        self.placement.seed(seed)
+        self._around.seed(seed)
 
     def get_state(self) -> dict[str, Any]:
         """What the coming steps depend on: random numbers, sampler, episodes and physics."""
@@ -356,7 +369,7 @@ class BatchSim:
             "unstable_count": self.unstable_count,
             "episodes": {name: getattr(self, name).copy() for name in _EPISODE},
             "physics": self.batch.state.copy(),
-            "placement": self.placement.get_state(),
+            "surroundings": self._around.get_state(),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -378,8 +391,9 @@ class BatchSim:
         self.batch.forward(stage=_CURRENT)
         for name in _EPISODE:
             getattr(self, name)[:] = state["episodes"][name]
-        if "placement" in state:  # earlier versions knew no terrain
-            self.placement.set_state(state["placement"])
+        self._begin[:] = self.reference.start[self.clip]
+        if "surroundings" in state:  # earlier versions knew of none
+            self._around.set_state(state["surroundings"])
         self.unstable_count = state["unstable_count"]
         self._observe(self._all)
 

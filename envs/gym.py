@@ -45,8 +45,10 @@ def _spaces(sim: BatchSim) -> tuple[gym.spaces.Box, gym.spaces.Box]:
 class QuestEnv(gym.Env[np.ndarray, np.ndarray]):
     """One avatar that follows clips: a batch of one, bit-identical to a row of a larger batch.
 
-    ``info`` of each step: the reward's terms by name, ``error_m``, ``clip``, ``frame``, ``fell``
-    and ``floor_m``, the height of the ground under the avatar.
+    ``info`` of each step: the reward's terms by name, ``error_m``, ``clip``, ``frame``, ``fell``,
+    ``floor_m`` (height of the ground under the avatar), ``push_n`` ``(3,)``, ``foot_force_n``
+    ``(2, 3)`` of the ground, ``object_pose`` ``(objects, 7)`` and ``object_force_n``
+    ``(objects, 3)`` of the avatar on each, all in the world.
     ``reset(options={"clip": name_or_index, "frame": 0})`` starts a given clip.
 
     Args:
@@ -121,6 +123,10 @@ class QuestEnv(gym.Env[np.ndarray, np.ndarray]):
             "frame": int(sim.frame[0] - sim.reference.start[clip]),
             "fell": bool(sim.fell[0]),
             "floor_m": float(sim.floor[0]),
+            "push_n": sim.pusher.force[0].copy(),
+            "foot_force_n": sim.contact_force[0].copy(),
+            "object_pose": sim.objects.pose[0].copy(),
+            "object_force_n": sim.objects.force[0].copy(),
         }
 
     def render(self) -> Any:
@@ -202,7 +208,15 @@ class QuestVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         infos: dict[str, Any] = {
             term: sim.reward_terms[:, i].copy() for i, term in enumerate(TERMS)
         }
-        infos |= {"error_m": sim.error.copy(), "fell": fell, "floor_m": sim.floor.copy()}
+        infos |= {
+            "error_m": sim.error.copy(),
+            "fell": fell,
+            "floor_m": sim.floor.copy(),
+            "push_n": sim.pusher.force.copy(),
+            "foot_force_n": sim.contact_force.copy(),
+            "object_pose": sim.objects.pose.copy(),
+            "object_force_n": sim.objects.force.copy(),
+        }
         ids = np.flatnonzero(fell | ended)
         if len(ids):
             final = np.full(self.num_envs, None, dtype=object)

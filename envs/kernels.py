@@ -97,8 +97,8 @@ def _placed(place, x, y):
 
 @_jit
 def observe(
-    first, last, ids, qpos, qvel, xpos, xquat, cvel, com, force, frame, end, ratio, height,
-    ref_qpos, ref_qvel, ref_position, ref_quat, dev_position, dev_quat,
+    first, last, ids, qpos, qvel, xpos, xquat, cvel, com, force, frame, begin, end, ratio, height,
+    ref_qpos, ref_qvel, ref_position, ref_quat, dev_position, dev_quat, late, newest,
     offsets, privileged, place, ground, grid, floor, obs,
 ):  # fmt: skip
     """Fill ``obs[ids[first:last]]``.
@@ -108,10 +108,12 @@ def observe(
         ids: simulations ``(m,)``.
         qpos ... com: bound fields of the batch, ``(n, ...)``; ``com`` is ``subtree_com``.
         force: ``(n, 2, 3)`` force of the floor on each foot, world, N.
-        frame, end: ``(n,)`` reference row now, and one past the clip's last row.
+        frame, begin, end: ``(n,)`` reference row now, the clip's first, one past its last.
         ratio: ``(n,)`` body height over 1.75 m; reference lengths are of the 1.75 m body.
         height: ``(n,)`` metres.
         ref_*, dev_*: reference rows of all clips, one after the other.
+        late: ``(n,)`` frames by which the devices are late.
+        newest: ``(n, devices)`` the last row that each device can show.
         offsets: ``(k,)`` frames ahead of each block of o_user.
         privileged: ``(p,)`` frames ahead of each privileged block.
         place: ``(n, 4)`` where each clip is played: x, y, cosine and sine of its turn.
@@ -160,8 +162,9 @@ def observe(
             at += 3
         scale = ratio[i]
         for k in range(offsets.shape[0]):
-            row = min(frame[i] + offsets[k], end[i] - 1)
+            shown = max(min(frame[i] + offsets[k] - late[i], end[i] - 1), begin[i])
             for d in range(devices):
+                row = min(shown, newest[i, d])
                 x, y = _placed(
                     place[i], dev_position[row, d, 0] * scale, dev_position[row, d, 1] * scale
                 )

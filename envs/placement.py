@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import zlib
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from envs.chance import Chance
 from envs.reference import Reference
 from envs.terrain import COURSE, MARGIN_M, Terrain, height_field, tile_centre
 from questsim import rotations as rot
@@ -46,16 +47,16 @@ class Placement:
         seed: int,
         fixed: bool,
     ) -> None:
-        self._terrain, self._ratio, self._seed = terrain, ratio, seed
+        self._terrain, self._ratio = terrain, ratio
+        # A stream of its own: a terrain does not change which clips are drawn.
+        self._chance = Chance(reference.names, seed, 1, fixed)
         self.place = np.zeros((len(ratio), 4))
         self.place[:, 2] = 1.0
         self.tile = np.zeros((len(ratio), 2), np.int64)
         self.field: HeightField | None = None
-        self.seed(seed)
         if terrain is None:
             return
         self.field = height_field(terrain)
-        self._names = [zlib.crc32(name.encode()) for name in reference.names] if fixed else None
         paths = [_path(reference, i) for i in range(len(reference.names))]
         self._middle = np.array([middle for middle, _, _ in paths])
         self._radius = np.array([radius for _, radius, _ in paths])
@@ -71,15 +72,14 @@ class Placement:
 
     def seed(self, seed: int) -> None:
         """Begin the stream of places anew."""
-        # Another stream than that of clips: a terrain does not change which clips are drawn.
-        self._rng = np.random.default_rng([seed, 1])
+        self._chance.seed(seed)
 
     def draw(self, ids: np.ndarray, clips: np.ndarray) -> None:
         """Choose places of simulations ``ids`` that begin to play ``clips``."""
         terrain, field = self._terrain, self.field
         if terrain is None or field is None:
             return
-        numbers = self._numbers(clips)
+        numbers = self._chance.draw(clips, 5)
         if terrain.direction == "any":
             turn = 2.0 * np.pi * numbers[:, 0]
         else:
@@ -99,26 +99,18 @@ class Placement:
         self.place[ids, 1] = middle[:, 1] - (sin * offset[:, 0] + cos * offset[:, 1])
         self.place[ids, 2], self.place[ids, 3] = cos, sin
 
-    def _numbers(self, clips: np.ndarray) -> np.ndarray:
-        """Five even random numbers in [0, 1) for each episode."""
-        if self._names is None:
-            return self._rng.random((len(clips), 5))
-        return np.array(
-            [np.random.default_rng([self._seed, self._names[clip]]).random(5) for clip in clips]
-        )
-
-    def get_state(self) -> dict[str, object]:
+    def get_state(self) -> dict[str, Any]:
         """Random numbers and places, to resume from."""
         return {
-            "rng": self._rng.bit_generator.state,
+            "rng": self._chance.get_state(),
             "place": self.place.copy(),
             "tile": self.tile.copy(),
         }
 
-    def set_state(self, state: dict[str, object]) -> None:
+    def set_state(self, state: dict[str, Any]) -> None:
         """Take up what ``get_state`` gave."""
-        self._rng.bit_generator.state = state["rng"]  # type: ignore[assignment]
-        self.place[:], self.tile[:] = state["place"], state["tile"]  # type: ignore[call-overload]
+        self._chance.set_state(state["rng"])
+        self.place[:], self.tile[:] = state["place"], state["tile"]
 
 
 def _path(reference: Reference, clip: int) -> tuple[np.ndarray, float, float]:

@@ -60,7 +60,7 @@ class Body:
     """A compiled body and what a controller needs to know of it.
 
     Attributes:
-        model: the MuJoCo model; bodies 1 to 16 are ``skeleton.LINKS``, ``qpos[7:40]`` and
+        model: the MuJoCo model; bodies 1 to 16 are ``skeleton.LINKS``, ``qpos[7:]`` and
             ``ctrl`` are ``skeleton.DOFS``.
         height_m: stature in metres.
         preset: name of the ``BodyPreset``.
@@ -102,18 +102,8 @@ def build_body(
 
 @lru_cache(maxsize=256)
 def _build(height_m: float, preset: str, self_collision: bool) -> Body:
-    return body_of(scaled_spec(height_m, preset), height_m, preset, self_collision)
-
-
-def body_of(
-    spec: mujoco.MjSpec, height_m: float, preset: str = "default", self_collision: bool = False
-) -> Body:
-    """The body that a spec of ``scaled_spec`` makes, whatever world was added around it.
-
-    Args:
-        spec: the avatar's bodies, joints and motors first.
-        height_m, preset, self_collision: as of ``build_body``.
-    """
+    options = PRESETS[preset]
+    spec = scaled_spec(height_m, preset)
     if self_collision:
         for body in spec.bodies:
             for geom in body.geoms:
@@ -126,8 +116,8 @@ def body_of(
         height_m=height_m,
         preset=preset,
         torque_limits=model.actuator_ctrlrange[:, 1].copy(),
-        damping=np.ravel(model.dof_damping)[6 : 6 + len(DOFS)].copy(),
-        substeps=PRESETS[preset].substeps,
+        damping=np.ravel(model.dof_damping)[6:].copy(),
+        substeps=options.substeps,
     )
 
 
@@ -184,8 +174,8 @@ def _default_model() -> mujoco.MjModel:
 
 def _check_names(model: mujoco.MjModel) -> None:
     """Refuse an MJCF whose order is not the skeleton's: every array depends on it."""
-    links = tuple(model.body(i).name for i in range(1, 1 + len(LINKS)))
-    hinges = tuple(model.joint(i).name for i in range(1, 1 + len(DOFS)))
+    links = tuple(model.body(i).name for i in range(1, model.nbody))
+    hinges = tuple(model.joint(i).name for i in range(1, model.njnt))
     motors = tuple(model.actuator(i).name for i in range(model.nu))
     for found, expected, what in (
         (links, LINKS, "bodies"),

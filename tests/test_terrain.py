@@ -141,6 +141,7 @@ def test_frame_s_stands_on_the_ground_and_devices_on_the_users_floor() -> None:
     hills = BatchSim(CLIPS, EnvConfig(fixed_start=True, terrain=HILLS))
     flat.reset()
     hills.reset()
+    assert hills.placement.field is not None
     np.testing.assert_allclose(hills.floor, hills.placement.field.ground_at(hills.qpos[:, :2]))
     assert np.abs(hills.floor).min() > 0.01
     user = flat.layout["o_user"]
@@ -223,6 +224,7 @@ def test_paths_stay_on_the_ground_and_those_that_cannot_are_refused() -> None:
     clip = gliding_clip(3.0)  # 6 m
     sim = BatchSim([clip], EnvConfig(terrain=terrain), num_envs=30)
     sim.reset()
+    assert sim.placement.field is not None
     half = 0.5 * np.array(sim.placement.field.size) - 1.0
     for i in range(30):
         path = sim.placed_clip(i, clip).link_position[:, 0, :2]
@@ -290,6 +292,7 @@ def test_the_height_scan_is_the_surface_around_the_avatar() -> None:
     sim = BatchSim(CLIPS, EnvConfig(terrain=terrain, height_scan=True, fixed_start=True))
     sim.reset()
     assert sim.observation.shape[1] == 475 + len(SCAN_POINTS)
+    assert sim.placement.field is not None
     for i in range(2):
         turn = rot.heading(sim.qpos[i, 3:7])
         matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])

@@ -1,0 +1,126 @@
+"""Where the objects of a batch are put as its episodes begin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from envs.chance import Chance, within
+from envs.objects import WorldObject
+from envs.placement import Placement, moved
+from envs.reference import Reference
+from questsim.heightfield import HeightField
+from questsim.motion.clip import FPS
+from questsim.skeleton import NUM_DOFS
+
+CLEARANCE_M = 0.55
+"""No object is put nearer than this to the pelvis of an avatar that begins."""
+_FIRST_QPOS, _FIRST_QVEL = 7 + NUM_DOFS, 6 + NUM_DOFS
+
+
+class Objects:
+    """The objects of a batch.
+
+    Args:
+        objects: options.
+        chance: numbers to draw from.
+        qpos, qvel, sensors: bound fields of the batch.
+    """
+
+    def __init__(
+        self,
+        objects: Sequence[WorldObject],
+        chance: Chance,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        sensors: np.ndarray,
+    ) -> None:
+        n, count = len(qpos), len(objects)
+        self._objects, self._chance = objects, chance
+        self._qvel = qvel[:, _FIRST_QVEL:]
+        self.pose = qpos[:, _FIRST_QPOS:].reshape(n, count, 7)
+        self._force = sensors[:, 6:].reshape(n, count, 3)
+
+    @property
+    def force(self) -> np.ndarray:
+        """``(n, count, 3)`` N of the avatar on each object, in the world."""
+        return self._force
+
+    def place(
+        self,
+        ids: np.ndarray,
+        rows: np.ndarray,
+        clips: np.ndarray,
+        reference: Reference,
+        placement: Placement,
+        ratio: np.ndarray,
+    ) -> None:
+        """Put the objects of episodes ``ids``, which begin at ``rows`` of the reference, down."""
+        if not self._objects:
+            return
+        numbers = self._chance.draw(clips, 2 * len(self._objects))
+        roots = reference.qpos[:, :3]
+        scale, place = ratio[ids, None], placement.place[ids]
+        last = reference.end[clips] - 1
+        begin = moved(place, roots[rows].astype(float) * scale)[:, :2]
+        self._qvel[ids] = 0.0
+        for number, thing in enumerate(self._objects):
+            ahead = within(numbers[:, 2 * number], thing.ahead_s) * FPS
+            there = np.minimum(rows + ahead.astype(np.int64), last)
+            spot = moved(place, roots[there].astype(float) * scale)[:, :2]
+            before = moved(place, roots[np.maximum(there - 9, rows)].astype(float) * scale)[:, :2]
+            travel = self._direction(spot - before, place, reference.qpos[rows, 3:7])
+            spot = spot + within(numbers[:, 2 * number + 1], thing.aside_m)[:, None] * np.stack(
+                [-travel[:, 1], travel[:, 0]], axis=-1
+            )
+            spot = _kept_away(spot, begin, travel)
+            self.pose[ids, number, :2] = spot
+            field = placement.field
+            self.pose[ids, number, 2] = 0.0 if field is None else _on_top(field, spot)
+            half = 0.5 * np.arctan2(travel[:, 1], travel[:, 0])
+            self.pose[ids, number, 3:] = np.stack(
+                [np.cos(half), 0.0 * half, 0.0 * half, np.sin(half)], axis=-1
+            )
+
+    def seed(self, seed: int) -> None:
+        """Begin the stream of places anew."""
+        self._chance.seed(seed)
+
+    def get_state(self) -> Any:
+        """What the coming places depend on."""
+        return self._chance.get_state()
+
+    def set_state(self, state: Any) -> None:
+        """Take up what ``get_state`` gave."""
+        self._chance.set_state(state)
+
+    @staticmethod
+    def _direction(step: np.ndarray, place: np.ndarray, quat: np.ndarray) -> np.ndarray:
+        """Unit vectors ``(m, 2)`` of steps, or of where somebody looks who hardly moves."""
+        w, x, y, z = quat.astype(float).T
+        look = np.stack([1.0 - 2.0 * (y * y + z * z), 2.0 * (w * z + x * y), 0.0 * w], axis=-1)
+        still = place.copy()
+        still[:, :2] = 0.0
+        look = moved(still, look)[:, :2]
+        slow = np.linalg.norm(step, axis=-1, keepdims=True) < 0.05
+        way = np.where(slow, look, step)
+        return way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-9)
+
+
+def _kept_away(spot: np.ndarray, begin: np.ndarray, travel: np.ndarray) -> np.ndarray:
+    """Spots ``(m, 2)``, moved along the travel until far enough from where avatars begin."""
+    offset = spot - begin
+    along = (offset * travel).sum(axis=-1)
+    across = offset - along[:, None] * travel
+    needed = np.sqrt(np.maximum(CLEARANCE_M**2 - (across**2).sum(axis=-1), 0.0))
+    near = np.linalg.norm(offset, axis=-1) < CLEARANCE_M
+    return begin + across + np.where(near, needed, along)[:, None] * travel
+
+
+def _on_top(field: HeightField, spot: np.ndarray) -> np.ndarray:
+    """Highest ground ``(m,)`` within 0.3 m of spots ``(m, 2)``."""
+    reach = np.linspace(-0.3, 0.3, 7)
+    around = np.stack(np.meshgrid(reach, reach), -1).reshape(1, -1, 2)
+    return field.height_at(spot[:, None] + around).max(axis=-1)

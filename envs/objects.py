@@ -1,0 +1,102 @@
+"""Things in the avatar's way: bodies that physics moves, and that move the avatar."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from envs.pushes import check_range
+from questsim.errors import InputError
+
+_BOX, _SPHERE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
+Part = tuple[mujoco.mjtGeom, tuple[float, float, float], tuple[float, float, float]]
+
+# Parts: geom, half sizes and place in metres, the object's lowest point at z = 0 and its front
+# along x. The ball is a football of size 5 (Laws of the Game, law 2: 68-70 cm around, 410-450 g).
+_SHAPES: dict[str, tuple[float, tuple[Part, ...]]] = {
+    "ball": (0.43, ((_SPHERE, (0.11, 0.0, 0.0), (0.0, 0.0, 0.11)),)),
+    "box": (5.0, ((_BOX, (0.15, 0.2, 0.1), (0.0, 0.0, 0.1)),)),
+    "hurdle": (
+        3.0,
+        (
+            (_BOX, (0.02, 0.6, 0.02), (0.0, 0.0, 0.2)),
+            (_BOX, (0.02, 0.02, 0.09), (0.0, 0.55, 0.09)),
+            (_BOX, (0.02, 0.02, 0.09), (0.0, -0.55, 0.09)),
+            (_BOX, (0.2, 0.02, 0.01), (0.0, 0.55, 0.01)),
+            (_BOX, (0.2, 0.02, 0.01), (0.0, -0.55, 0.01)),
+        ),
+    ),
+    "chair": (
+        6.0,
+        (
+            (_BOX, (0.22, 0.22, 0.02), (0.0, 0.0, 0.43)),
+            (_BOX, (0.02, 0.22, 0.22), (-0.2, 0.0, 0.67)),
+            *((_BOX, (0.02, 0.02, 0.205), (x, y, 0.205)) for x in (-0.2, 0.2) for y in (-0.2, 0.2)),
+        ),
+    ),
+}
+OBJECTS: tuple[str, ...] = tuple(_SHAPES)
+_RGBA = (0.85, 0.75, 0.3, 1.0)
+# Of a contact sensor: data "force", reduce "netforce", one number of contacts.
+_NET_FORCE = [2, 3, 1]
+
+
+@dataclass(frozen=True)
+class WorldObject:
+    """A thing put on the ground beside or on the path of each episode's clip.
+
+    Attributes:
+        kind: one of ``OBJECTS``: a football, a box of 30 x 40 x 20 cm, a hurdle
+            22 cm high, a chair.
+        ahead_s: it stands where the clip is this many seconds after the episode's start, turned
+            as the clip travels there; never within half a metre of where the avatar begins.
+        aside_m: to the left of that place, in metres.
+        mass_kg: None for the kind's own.
+
+    Raises:
+        InputError: an unknown kind, or a range that is none.
+    """
+
+    kind: str = "ball"
+    ahead_s: tuple[float, float] = (1.0, 2.0)
+    aside_m: tuple[float, float] = (-0.1, 0.1)
+    mass_kg: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in OBJECTS:
+            raise InputError(
+                f"unknown object {self.kind!r}", "objects", f"choose from {', '.join(OBJECTS)}"
+            )
+        check_range("ahead_s", self.ahead_s, 0.0, 60.0, "objects")
+        check_range("aside_m", self.aside_m, -5.0, 5.0, "objects")
+        if self.mass_kg is not None and not 0.01 <= self.mass_kg <= 200.0:
+            raise InputError(f"mass_kg is {self.mass_kg:g}, not 0.01 to 200", "objects")
+
+
+def add_objects(spec: mujoco.MjSpec, objects: Sequence[WorldObject]) -> None:
+    """Put objects into a spec, behind the avatar, with a sensor of its force on each."""
+    for number, thing in enumerate(objects):
+        mass, parts = _SHAPES[thing.kind]
+        mass = mass if thing.mass_kg is None else thing.mass_kg
+        body = spec.worldbody.add_body(name=f"object{number}", pos=[3.0 + number, 0.0, 0.0])
+        body.add_freejoint(name=f"object{number}")
+        volume = [8.0 * np.prod(size) if kind == _BOX else 1.0 for kind, size, _ in parts]
+        for (kind, size, place), share in zip(parts, np.divide(volume, sum(volume)), strict=True):
+            # Rolling friction only where something rolls: condim 6 costs contacts otherwise.
+            body.add_geom(
+                type=kind, size=size, pos=place, mass=mass * share, rgba=_RGBA, group=2,
+                contype=1, conaffinity=1, condim=6 if kind == _SPHERE else 3,
+                friction=[0.7, 0.005, 0.002],
+            )  # fmt: skip
+        sensor = spec.add_sensor(
+            name=f"force_on_object{number}",
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=mujoco.mjtObj.mjOBJ_XBODY,
+            objname="pelvis",
+            reftype=mujoco.mjtObj.mjOBJ_BODY,
+            refname=f"object{number}",
+        )
+        sensor.intprm = _NET_FORCE

@@ -1,0 +1,167 @@
+"""Pushes: forces on a link for a short time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from envs.chance import Chance, within
+from questsim.errors import InputError
+from questsim.motion.clip import FPS
+from questsim.skeleton import LINKS
+
+MAX_FORCE_N, MAX_SECONDS = 2000.0, 60.0
+
+
+@dataclass(frozen=True)
+class Pushes:
+    """Horizontal pushes in directions drawn evenly; every range is drawn from anew each time.
+
+    Attributes:
+        force_n: least and greatest force in newtons.
+        duration_s: for how long.
+        pause_s: from the episode's start to the first push, and from one push's end to the next.
+        body: the link that is pushed, at its centre of mass.
+        count: pushes in an episode; None for no limit.
+
+    Raises:
+        InputError: a range that is none, an unknown link, or a count below 1.
+    """
+
+    force_n: tuple[float, float] = (50.0, 100.0)
+    duration_s: tuple[float, float] = (0.2, 0.2)
+    pause_s: tuple[float, float] = (1.0, 3.0)
+    body: str = "chest"
+    count: int | None = None
+
+    def __post_init__(self) -> None:
+        for name, most in (
+            ("force_n", MAX_FORCE_N),
+            ("duration_s", MAX_SECONDS),
+            ("pause_s", MAX_SECONDS),
+        ):
+            check_range(name, getattr(self, name), 0.0, most, "pushes")
+        if self.body not in LINKS:
+            raise InputError(f"no link {self.body!r}", "pushes", f"choose from {', '.join(LINKS)}")
+        if self.count is not None and self.count < 1:
+            raise InputError(f"count is {self.count}, not at least 1", "pushes", "leave them out")
+
+
+def check_range(
+    name: str, low_high: tuple[float, float], least: float, most: float, where: str
+) -> None:
+    """Refuse a range that is not ``least <= low <= high <= most``.
+
+    Raises:
+        InputError: naming it.
+    """
+    try:
+        low, high = low_high
+        good = least <= low <= high <= most
+    except (TypeError, ValueError):
+        good = False
+    if not good:
+        raise InputError(
+            f"{name} is {low_high!r}, no range within {least:g} to {most:g}",
+            where,
+            "give the least and the greatest value",
+        )
+
+
+class Pusher:
+    """The pushes of a batch, those of the options and those by hand.
+
+    Args:
+        pushes: options, None for none.
+        chance: numbers to draw from.
+        wrench: the batch's bound ``xfrc_applied`` ``(n, bodies, 6)``.
+
+    Attributes:
+        force: ``(n, 3)`` N, world: what is pushed with in the present step.
+    """
+
+    def __init__(self, pushes: Pushes | None, chance: Chance, wrench: np.ndarray) -> None:
+        n = len(wrench)
+        self._pushes, self._chance, self._wrench = pushes, chance, wrench
+        self.force = np.zeros((n, 3))
+        self._wish = np.zeros((n, 3))
+        self._left_s = np.zeros(n)
+        self._pause_s = np.full(n, np.inf)
+        self._planned_force, self._planned_s = np.zeros((n, 3)), np.zeros(n)
+        self._done, self._clip = np.zeros(n, np.int64), np.zeros(n, np.int64)
+        self._body = np.full(n, 1 + LINKS.index(pushes.body if pushes else "chest"))
+
+    def begin(self, ids: np.ndarray, clips: np.ndarray) -> None:
+        """Episodes ``ids`` begin, with clips ``clips``."""
+        self._left_s[ids], self._done[ids], self._clip[ids] = 0.0, 0, clips
+        self.force[ids], self._wrench[ids] = 0.0, 0.0
+        self._plan(ids)
+
+    def push(self, i: int, force: np.ndarray, seconds: float = 0.2, body: str = "chest") -> None:
+        """Push simulation ``i`` with ``force`` ``(3,)`` N from the next step on.
+
+        Raises:
+            InputError: a force or a time that is not finite or too large, or an unknown link.
+        """
+        force = np.asarray(force, float)
+        if force.shape != (3,) or not np.linalg.norm(force) <= MAX_FORCE_N:
+            raise InputError(f"force {force} is not three numbers up to {MAX_FORCE_N:g} N", "push")
+        if not 0.0 <= seconds <= MAX_SECONDS or body not in LINKS:
+            raise InputError(f"{seconds} s on {body!r}", "push", f"links are {', '.join(LINKS)}")
+        self._wrench[i] = 0.0
+        self._wish[i], self._left_s[i], self._body[i] = force, seconds, 1 + LINKS.index(body)
+
+    def _plan(self, ids: np.ndarray) -> None:
+        """Draw the time until the next push, where one is to come."""
+        pushes = self._pushes
+        if pushes is None or len(ids) == 0:
+            return
+        numbers = self._chance.draw(self._clip[ids], 4, self._done[ids])
+        self._pause_s[ids] = within(numbers[:, 0], pushes.pause_s)
+        if pushes.count is not None:
+            self._pause_s[ids[self._done[ids] >= pushes.count]] = np.inf
+        turn = 2.0 * np.pi * numbers[:, 1]
+        force = within(numbers[:, 2], pushes.force_n)
+        self._planned_force[ids] = np.stack(
+            [force * np.cos(turn), force * np.sin(turn), np.zeros(len(ids))], axis=-1
+        )
+        self._planned_s[ids] = within(numbers[:, 3], pushes.duration_s)
+
+    def apply(self) -> None:
+        """Set the forces of the coming step; call once before each."""
+        if self._pushes is None and not self._left_s.any() and not self.force.any():
+            return
+        if self._pushes is not None:
+            begins = np.flatnonzero((self._pause_s <= 1e-9) & (self._left_s <= 0.0))
+            if len(begins):
+                self._wish[begins] = self._planned_force[begins]
+                self._left_s[begins] = self._planned_s[begins]
+                self._body[begins] = 1 + LINKS.index(self._pushes.body)
+                self._done[begins] += 1
+                self._pause_s[begins] = np.inf
+                self._plan(begins)
+            self._pause_s[self._left_s <= 0.0] -= 1.0 / FPS
+        # A push that ends within the step is weaker in it: the impulse is exact.
+        share = np.clip(self._left_s * FPS, 0.0, 1.0)
+        self.force[:] = share[:, None] * self._wish
+        self._wrench[np.arange(len(share)), self._body, :3] = self.force
+        self._left_s[:] = np.maximum(self._left_s - 1.0 / FPS, 0.0)
+
+    def seed(self, seed: int) -> None:
+        """Begin the stream of pushes anew."""
+        self._chance.seed(seed)
+
+    def get_state(self) -> dict[str, Any]:
+        """What the coming pushes depend on."""
+        state = {k: v.copy() for k, v in vars(self).items() if isinstance(v, np.ndarray)}
+        del state["_wrench"]
+        return state | {"chance": self._chance.get_state()}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Take up what ``get_state`` gave."""
+        self._chance.set_state(state["chance"])
+        for name, value in state.items():
+            if name != "chance":
+                setattr(self, name, value.copy())

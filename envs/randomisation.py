@@ -1,0 +1,124 @@
+"""Differences between the simulations of a batch: what a policy should not rely on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from envs.chance import within
+from envs.pushes import check_range
+from questsim.skeleton import NUM_LINKS
+
+NEVER = np.iinfo(np.int64).max
+
+
+@dataclass(frozen=True)
+class Randomisation:
+    """Ranges from which each simulation of a batch draws once, and keeps.
+
+    Attributes:
+        friction: factor on the friction of avatar and floor.
+        mass: factor on mass and inertia of all links.
+        latency_frames: whole frames by which the devices' signals are late.
+        dropout: chance a frame that a device falls silent ...
+        dropout_frames: ... and for how many frames it then shows its last pose.
+
+    Raises:
+        InputError: a range that is none.
+    """
+
+    friction: tuple[float, float] = (1.0, 1.0)
+    mass: tuple[float, float] = (1.0, 1.0)
+    latency_frames: tuple[int, int] = (0, 0)
+    dropout: tuple[float, float] = (0.0, 0.0)
+    dropout_frames: tuple[int, int] = (4, 18)
+
+    def __post_init__(self) -> None:
+        for name, least, most in (
+            ("friction", 0.05, 5.0),
+            ("mass", 0.5, 2.0),
+            ("latency_frames", 0, 36),
+            ("dropout", 0.0, 1.0),
+            ("dropout_frames", 1, 360),
+        ):
+            check_range(name, getattr(self, name), least, most, "randomisation")
+
+    @property
+    def of_bodies(self) -> bool:
+        """Whether simulations need models of their own."""
+        return self.friction != (1.0, 1.0) or self.mass != (1.0, 1.0)
+
+
+def varied_models(
+    models: list[mujoco.MjModel], options: Randomisation, seed: int
+) -> list[mujoco.MjModel]:
+    """Copies of a batch's models with friction and masses drawn for each."""
+    numbers = np.random.default_rng([seed, 10]).random((len(models), 2))
+    friction = within(numbers[:, 0], options.friction)
+    mass = within(numbers[:, 1], options.mass)
+    varied = []
+    for model, slide, weight in zip(models, friction, mass, strict=True):
+        own = mujoco.MjModel.__copy__(model)
+        own.geom_friction[:, 0] *= slide
+        own.body_mass[1 : 1 + NUM_LINKS] *= weight
+        own.body_inertia[1 : 1 + NUM_LINKS] *= weight
+        mujoco.mj_setConst(own, mujoco.MjData(own))
+        varied.append(own)
+    return varied
+
+
+class Signals:
+    """How late and how silent the devices of each simulation are.
+
+    Args:
+        options: ranges, None for perfect devices.
+        n, devices: simulations, and devices of each.
+        seed: of everything drawn.
+
+    Attributes:
+        late: ``(n,)`` frames.
+        newest: ``(n, devices)`` the latest row of the reference that a device can show.
+    """
+
+    def __init__(self, options: Randomisation | None, n: int, devices: int, seed: int) -> None:
+        self._options = options or Randomisation()
+        self._rng = np.random.default_rng([seed, 11])
+        numbers = self._rng.random((n, 2))
+        low, high = self._options.latency_frames
+        self.late = np.minimum((low + (high - low + 1) * numbers[:, 0]).astype(np.int64), high)
+        self.dropout = within(numbers[:, 1], self._options.dropout)
+        self.newest = np.full((n, devices), NEVER)
+        self._until = np.zeros((n, devices), np.int64)
+
+    def begin(self, ids: np.ndarray) -> None:
+        """Devices of simulations ``ids`` speak again."""
+        self.newest[ids], self._until[ids] = NEVER, 0
+
+    def advance(self, newest: np.ndarray) -> None:
+        """One frame later; ``newest`` ``(n,)`` is the row that devices would show last."""
+        if not self.dropout.any():
+            return
+        self._until = np.maximum(self._until - 1, 0)
+        self.newest[self._until == 0] = NEVER
+        numbers = self._rng.random((2, *self.newest.shape))
+        falls = (numbers[0] < self.dropout[:, None]) & (self._until == 0)
+        low, high = self._options.dropout_frames
+        frames = (low + (high - low + 1) * numbers[1]).astype(np.int64)
+        self._until = np.where(falls, np.minimum(frames, high), self._until)
+        shown = np.broadcast_to(newest[:, None] - 1, self.newest.shape)
+        self.newest[falls] = shown[falls]
+
+    def get_state(self) -> dict[str, object]:
+        """What the coming signals depend on."""
+        return {
+            "rng": self._rng.bit_generator.state,
+            "newest": self.newest.copy(),
+            "until": self._until.copy(),
+        }
+
+    def set_state(self, state: dict) -> None:
+        """Take up what ``get_state`` gave."""
+        self._rng.bit_generator.state = state["rng"]
+        self.newest[:], self._until[:] = state["newest"], state["until"]

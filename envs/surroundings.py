@@ -1,0 +1,84 @@
+"""What surrounds the avatars of a batch: ground, pushes, objects, and imperfect devices."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from mujoco import batch as mujoco_batch
+
+from envs.chance import Chance
+from envs.config import EnvConfig
+from envs.object_places import Objects
+from envs.placement import Placement
+from envs.pushes import Pusher
+from envs.randomisation import Signals
+from envs.reference import Reference
+
+
+class Surroundings:
+    """Everything beside body and clip that differs between episodes.
+
+    Args:
+        config: options of the task.
+        reference: the clips.
+        ratio: ``(n,)`` height of each simulation's body over 1.75 m.
+        batch: of models with the config's objects.
+        seed: of all that is drawn.
+
+    Attributes:
+        placement: where each clip is played on the terrain; its ``field`` is the ground.
+        pusher: forces on the avatars.
+        objects: poses of the objects, and the avatar's force on each.
+        signals: how late and how silent the devices are.
+    """
+
+    def __init__(
+        self,
+        config: EnvConfig,
+        reference: Reference,
+        ratio: np.ndarray,
+        batch: mujoco_batch.Batch,
+        seed: int,
+    ) -> None:
+        names, fixed, bind = reference.names, config.fixed_start, batch.bind
+        self._reference, self._ratio = reference, ratio
+        self.placement = Placement(reference, config.terrain, ratio, seed, fixed)
+        self.pusher = Pusher(config.pushes, Chance(names, seed, 2, fixed), bind("xfrc_applied"))
+        self.objects = Objects(
+            config.objects,
+            Chance(names, seed, 3, fixed),
+            bind("qpos"),
+            bind("qvel"),
+            bind("sensordata"),
+        )
+        devices = reference.dev_position.shape[1]
+        self.signals = Signals(config.randomisation, len(ratio), devices, seed)
+
+    def begin(self, ids: np.ndarray, rows: np.ndarray, clips: np.ndarray) -> None:
+        """Episodes ``ids`` begin at ``rows`` of ``clips``, at places that were drawn before."""
+        self.pusher.begin(ids, clips)
+        self.objects.place(ids, rows, clips, self._reference, self.placement, self._ratio)
+        self.signals.begin(ids)
+
+    def _parts(self) -> dict[str, Any]:
+        return {
+            "placement": self.placement,
+            "pusher": self.pusher,
+            "objects": self.objects,
+            "signals": self.signals,
+        }
+
+    def seed(self, seed: int) -> None:
+        """Begin the streams of places, pushes and objects anew."""
+        for part in (self.placement, self.pusher, self.objects):
+            part.seed(seed)
+
+    def get_state(self) -> dict[str, Any]:
+        """What the coming episodes depend on."""
+        return {name: part.get_state() for name, part in self._parts().items()}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Take up what ``get_state`` gave."""
+        for name, part in self._parts().items():
+            part.set_state(state[name])
