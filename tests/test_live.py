@@ -81,8 +81,8 @@ def test_a_push_moves_the_avatar_where_it_is_aimed():
         live = session()
         advance(live, 20)
         live.push(150.0, direction)
-        assert np.linalg.norm(live.snapshot().push_n) == pytest.approx(150.0)
-        moved = advance(live, 10).position[chest] - calm
+        assert np.linalg.norm(advance(live, 1).push_n) == pytest.approx(150.0)
+        moved = advance(live, 9).position[chest] - calm
         assert sign * moved[axis] > 0.02
         assert not live.snapshot().push_n.any()
 
@@ -130,6 +130,9 @@ def test_a_change_of_speed_goes_on_from_where_it_is():
         {"sensors": "H"},
         {"sensors": "H+2C+2IMU"},
         {"height_m": 3.0},
+        {"terrain": "sea"},
+        {"roughness": 5.0},
+        {"thing": "elephant"},
         {"height_m": "tall"},
         {"speed": 1e9},
         {"colour": "red"},
@@ -171,6 +174,33 @@ def test_a_driver_that_is_replaced_takes_over_where_the_avatar_is():
     shown = live.snapshot()
     assert (shown.time_s, shown.note) == (1.0, "newer")
     assert advance(live, 60).outcome == "fell"
+
+
+def test_terrain_lifts_the_avatar_and_its_reference():
+    live = session(terrain="rough", roughness=2.0)
+    shown = advance(live, 5)
+    ground = shown.stage.ground
+    assert ground is not None and ground.height.std() > 0.01
+    for position in (shown.position, shown.reference_position):
+        above = position[0, 2] - float(ground.ground_at(position[0]))
+        assert above == pytest.approx(0.91, abs=0.06)
+    assert np.linalg.norm(shown.position[0, :2]) > 1.0  # it plays somewhere on the field
+    flat = live.change(terrain="flat")
+    assert flat.terrain == "flat" and live.snapshot().stage.ground is None
+
+
+def test_an_object_is_there_and_rests_on_the_ground():
+    live = session(thing="ball")
+    shown = advance(live, 40)
+    assert [part.shape for part in shown.stage.parts] == ["ball"]
+    assert shown.thing is not None
+    place, quat = shown.thing
+    assert place[2] == pytest.approx(0.0, abs=0.15)
+    assert np.linalg.norm(quat) == pytest.approx(1.0)
+    live.change(thing="hurdle")
+    assert len(live.snapshot().stage.parts) == 5
+    live.change(thing="none")
+    assert live.snapshot().thing is None
 
 
 def test_same_settings_same_bits():

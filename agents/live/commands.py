@@ -49,6 +49,8 @@ class DemoArgs:
     """The ground: flat, rough, waves, slope, stairs, steps or gaps."""
     roughness: float = 0.5
     """Multiplies the terrain's relief: 1 is ±4 cm on rough ground, slopes of 8 degrees."""
+    thing: str = "none"
+    """An object in the way: ball, box, hurdle or chair."""
     height: float = DEFAULT_HEIGHT_M
     """Stature of user and avatar in metres."""
     host: str = LOOPBACK
@@ -79,6 +81,8 @@ class PlayArgs:
     """The ground: flat, rough, waves, slope, stairs, steps or gaps."""
     roughness: float = 1.0
     """Multiplies the terrain's relief: 1 is ±4 cm on rough ground, slopes of 8 degrees."""
+    thing: str = "none"
+    """An object in the way: ball, box, hurdle or chair."""
     height: float = DEFAULT_HEIGHT_M
     """Stature of user and avatar in metres."""
     host: str = LOOPBACK
@@ -125,6 +129,7 @@ def play(args: PlayArgs) -> None:
             sensors="",
             terrain=args.terrain,
             roughness=args.roughness,
+            thing=args.thing,
             height_m=args.height,
         )
         session = DemoSession(clips, {name: lambda: driver, **available_drivers()}, settings)
@@ -165,6 +170,7 @@ def demo_session(args: DemoArgs) -> DemoSession:
         sensors="",  # the agent's own
         terrain=args.terrain,
         roughness=args.roughness,
+        thing=args.thing,
         height_m=args.height,
     )
     return DemoSession(clips, drivers, settings)

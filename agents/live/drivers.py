@@ -9,7 +9,6 @@ from agents.spec import Layout
 from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.layout import observation_layout
-from envs.terrain import Terrain
 from questsim.errors import InputError
 from questsim.sensors import DEVICES, SENSOR_SETS
 
@@ -88,13 +87,8 @@ def usable_sensors(driver: Driver) -> tuple[str, ...]:
     return tuple(names)
 
 
-def config_for(
-    driver: Driver,
-    sensors: str,
-    height_m: float | None = None,
-    terrain: Terrain | None = None,
-) -> EnvConfig:
-    """The environment that a driver needs, with these sensors, one height and this ground."""
+def config_for(driver: Driver, sensors: str, height_m: float | None = None) -> EnvConfig:
+    """The environment that a driver needs, with these sensors and all avatars of one height."""
     needs = driver.needs
     return EnvConfig(
         sensors=sensors,
@@ -103,5 +97,4 @@ def config_for(
         body_preset=needs.body_preset,
         heights=None if height_m is None else (height_m, height_m),
         fixed_start=True,
-        terrain=terrain,
     )

@@ -7,19 +7,21 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from agents.live.drivers import Driver, config_for, usable_sensors
 from envs.config import EnvConfig
 from envs.core import BatchSim
+from envs.objects import OBJECTS, WorldObject
 from envs.terrain import COURSE, RANGES, TERRAINS, Terrain
 from questsim import rotations as rot
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
 from questsim.errors import InputError
 from questsim.motion.clip import FPS, Clip
 from questsim.sensors import device_poses, sensor_set
-from questsim.skeleton import LINKS
-from questsim.viewing.live import ROUGHNESS, SPEEDS, Choices, Settings, Snapshot, Stage
+from questsim.skeleton import NUM_DOFS
+from questsim.viewing.live import ROUGHNESS, SPEEDS, Choices, Part, Settings, Snapshot, Stage
 
 AFTER_FALL_S, AFTER_END_S = 2.0, 0.7
 """How long an episode that is over goes on before the clip begins again."""
@@ -30,10 +32,11 @@ GROUNDS = tuple(name for name in TERRAINS if name != COURSE)
 SEEN_M = 14.0
 """How far around the clip's path viewers see the ground."""
 
+NOTHING = "none"
 PUSH_S = 0.2
 MAX_PUSH_N = 1000.0
-_CHEST = 1 + LINKS.index("chest")  # body 0 is the world
-_NO_FORCE = np.zeros(3)
+_AVATAR = 7 + NUM_DOFS
+_OBJECT = "object0"
 
 
 class DemoSession:
@@ -66,7 +69,6 @@ class DemoSession:
         self._stage = Stage(0)
         self._step, self._begun = 0, 0
         self._outcome, self._hold = "", 0
-        self._push, self._push_left = _NO_FORCE, 0
         self._paused, self._one_step = False, False
         self.note = ""
         self._sim: BatchSim = self._build(settings)
@@ -86,6 +88,7 @@ class DemoSession:
             agents=tuple(self._make_driver),
             sensors=usable_sensors(self._driver(self._settings.agent)),
             terrains=GROUNDS,
+            things=(NOTHING, *OBJECTS),
         )
 
     def playlist(self) -> list[str]:
@@ -125,10 +128,11 @@ class DemoSession:
                 device_position=devices[0],
                 device_quat=devices[1],
                 contact_force=sim.contact_force[0].copy(),
-                qpos=sim.qpos[0].copy(),
+                qpos=sim.qpos[0, :_AVATAR].copy(),
                 reference_qpos=clip.qpos[now],
                 error_m=float(sim.error[0]) if now else 0.0,
-                push_n=self._push if self._push_left else _NO_FORCE,
+                push_n=sim.pusher.force[0].copy(),
+                thing=_pose(sim) if self._stage.parts else None,
                 outcome=self._outcome,
                 paused=self._paused,
                 note=self.note,
@@ -187,8 +191,8 @@ class DemoSession:
             raise InputError(f"a push of {force_n:g} N is not within 0 and {MAX_PUSH_N:g} N")
         with self._lock:
             yaw = float(rot.heading(self._sim.link_quats[:1, 0])[0]) + np.radians(direction_deg)
-            self._push = force_n * np.array([np.cos(yaw), np.sin(yaw), 0.0])
-            self._push_left = round(PUSH_S * FPS)
+            force = force_n * np.array([np.cos(yaw), np.sin(yaw), 0.0])
+            self._sim.pusher.push(0, force, PUSH_S)
 
     def replace_driver(self, name: str, driver: Driver, note: str = "") -> None:
         """Put another driver in the place of one of the same name, at once where it drives now.
@@ -235,10 +239,7 @@ class DemoSession:
                     self._begin(sim)
                     self._step += 1
                     return True
-            forces = self._forces
-            forces[0, _CHEST, :3] = self._push if self._push_left else 0.0
             self._drivers[self._settings.agent].advance(sim)
-            self._push_left = max(self._push_left - 1, 0)
             self._step += 1
             self._judge(sim)
             return True
@@ -256,7 +257,7 @@ class DemoSession:
         sim.reset()
         self._placed = sim.placed_clip(0, self._clips[self._settings.clip])
         self._drivers[self._settings.agent].reset()
-        self._outcome, self._hold, self._push_left = "", 0, 0
+        self._outcome, self._hold = "", 0
 
     def _driver(self, name: str) -> Driver:
         if name not in self._make_driver:
@@ -287,6 +288,9 @@ class DemoSession:
             raise InputError(
                 f"there is no terrain {settings.terrain!r}", fix=f"choose from {known}"
             )
+        if settings.thing not in (NOTHING, *OBJECTS):
+            known = ", ".join(OBJECTS)
+            raise InputError(f"there is no object {settings.thing!r}", fix=f"choose from {known}")
         roughness = _number(settings.roughness, "roughness")
         if not ROUGHNESS[0] <= roughness <= ROUGHNESS[1]:
             raise InputError(
@@ -303,18 +307,47 @@ class DemoSession:
         sim = BatchSim([self._clips[settings.clip]], config, 1, num_threads=1)
         driver.bind(sim)
         self._settings = settings
-        self._forces = sim.batch.bind("xfrc_applied")
         self._begin(sim)
         field = sim.placement.field
         ground = None if field is None else field.around(self._placed.qpos[:, :2], SEEN_M)
-        self._stage = Stage(self._stage.number + 1, float(settings.height_m), ground)
+        self._stage = Stage(
+            self._stage.number + 1,
+            float(settings.height_m),
+            ground,
+            _parts(sim) if settings.thing != NOTHING else (),
+        )
         return sim
 
 
 def _config(driver: Driver, settings: Settings) -> EnvConfig:
     """The environment of a session's settings."""
-    ground = scaled_terrain(settings.terrain, settings.roughness)
-    return config_for(driver, settings.sensors, float(settings.height_m), ground)
+    config = config_for(driver, settings.sensors, float(settings.height_m))
+    return replace(
+        config,
+        terrain=scaled_terrain(settings.terrain, settings.roughness),
+        objects=() if settings.thing == NOTHING else (WorldObject(settings.thing),),
+    )
+
+
+def _parts(sim: BatchSim) -> tuple[Part, ...]:
+    """The shapes that the session's object is made of."""
+    model = sim.body.model
+    body = model.body(_OBJECT)
+    first, count = int(body.geomadr[0]), int(body.geomnum[0])
+    return tuple(
+        Part(
+            "ball" if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE else "box",
+            tuple(model.geom_size[geom]),
+            tuple(model.geom_pos[geom]),
+        )
+        for geom in range(first, first + count)
+    )
+
+
+def _pose(sim: BatchSim) -> tuple[np.ndarray, np.ndarray]:
+    """Where the session's object is, and its orientation."""
+    pose = sim.qpos[0, _AVATAR : _AVATAR + 7].copy()
+    return pose[:3], pose[3:]
 
 
 def scaled_terrain(name: str, roughness: float) -> Terrain | None:

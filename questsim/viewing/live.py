@@ -31,6 +31,21 @@ ROUGHNESS = (0.0, 2.0)
 
 
 @dataclass(frozen=True)
+class Part:
+    """A shape of which an object is made.
+
+    Attributes:
+        shape: ``"ball"`` or ``"box"``.
+        size: radius, or half of each edge, in metres.
+        place: of its middle in the object's frame, metres.
+    """
+
+    shape: str
+    size: tuple[float, ...]
+    place: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class Stage:
     """What a picture needs that seldom changes.
 
@@ -38,13 +53,13 @@ class Stage:
         number: grows with every change.
         height_m: the avatar's stature.
         ground: the floor near the clip's path; None for a flat one at z = 0.
-        ball_radius_m: of the ball, None without one.
+        parts: of the object that is there; empty without one.
     """
 
     number: int
     height_m: float = DEFAULT_HEIGHT_M
     ground: HeightField | None = None
-    ball_radius_m: float | None = None
+    parts: tuple[Part, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -63,7 +78,7 @@ class Snapshot:
         qpos, reference_qpos: ``(40,)`` both poses, as pictures take them.
         error_m: mean distance of the links from the reference.
         push_n: ``(3,)`` the force of a push on the chest now, or zeros.
-        ball: ``(3,)`` where the ball is and ``(4,)`` its orientation, or None.
+        thing: ``(3,)`` where the object is and ``(4,)`` its orientation, or None.
         outcome: ``""``, ``"fell"`` or ``"completed"``.
         paused: whether time stands still.
         note: about the agent, such as the age of its checkpoint.
@@ -84,7 +99,7 @@ class Snapshot:
     reference_qpos: np.ndarray
     error_m: float
     push_n: np.ndarray
-    ball: tuple[np.ndarray, np.ndarray] | None = None
+    thing: tuple[np.ndarray, np.ndarray] | None = None
     outcome: str = ""
     paused: bool = False
     note: str = ""
@@ -115,12 +130,11 @@ class Settings:
     """What a viewer can choose.
 
     Attributes:
-        clip, agent, sensors, terrain: names out of ``Choices``.
+        clip, agent, sensors, terrain, thing: names out of ``Choices``.
         roughness: multiplies what the terrain has of its own, such as ±4 cm of rough ground or
             steps of 8 cm; within ``ROUGHNESS``.
         height_m: stature of user and avatar.
         speed: how fast time goes; 1 is real time.
-        ball: whether a ball is there to be kicked.
     """
 
     clip: str
@@ -130,7 +144,7 @@ class Settings:
     roughness: float = 1.0
     height_m: float = DEFAULT_HEIGHT_M
     speed: float = 1.0
-    ball: bool = False
+    thing: str = "none"
 
 
 @dataclass(frozen=True)
@@ -141,7 +155,7 @@ class Choices:
     agents: tuple[str, ...]
     sensors: tuple[str, ...]
     terrains: tuple[str, ...] = ("flat",)
-    ball: bool = False
+    things: tuple[str, ...] = ("none",)
 
 
 @dataclass

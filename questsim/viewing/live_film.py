@@ -23,6 +23,7 @@ GIF_STRIDE, GIF_WIDTH = 3, 420
 _GHOST_OPACITY = 0.30
 _LEAST_ARROW_M = 0.05
 _PUSH_RED = (0.85, 0.15, 0.12, 1.0)
+_THING = (0.89, 0.67, 0.24, 1.0)
 _DEVICE_SIZE_M = (0.035, 0.035, 0.035)
 
 
@@ -95,6 +96,14 @@ def _marks(moment: Snapshot) -> list[Marker | Arrow]:
         Marker(position, matrix, _DEVICE_SIZE_M)
         for position, matrix in zip(moment.device_position, matrices, strict=True)
     ]
+    if moment.thing is not None:
+        place, quat = moment.thing
+        turn = rot.quat_to_matrix(quat)
+        for part in moment.stage.parts:
+            size = (part.size[0],) * 3 if part.shape == "ball" else part.size[:3]
+            x, y, z = size
+            middle = place + turn @ np.array(part.place)
+            marks.append(Marker(middle, turn, (x, y, z), _THING, part.shape == "ball"))
     for i, (start, end) in enumerate(force_arrows(moment)):
         if np.linalg.norm(end - start) > _LEAST_ARROW_M:
             marks.append(Arrow(start, end, rgba=_PUSH_RED) if i == 2 else Arrow(start, end))

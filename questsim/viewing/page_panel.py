@@ -81,13 +81,10 @@ class PagePanel:
             self._on_update(
                 speed, lambda: session.change(speed=_SPEED_LABELS.get(speed.value, speed.value))
             )
-        if len(choices.terrains) > 1 or choices.ball:
-            with gui.add_folder("World"):
-                self._choice("Terrain", "terrain", choices.terrains)
-                self._slider("Roughness", "roughness", ROUGHNESS, 0.1)
-                if choices.ball:
-                    ball = self._fields["ball"] = gui.add_checkbox("Ball", settings.ball)
-                    self._on_update(ball, lambda: session.change(ball=bool(ball.value)))
+        with gui.add_folder("World"):
+            self._choice("Terrain", "terrain", choices.terrains)
+            self._slider("Roughness", "roughness", ROUGHNESS, 0.1)
+            self._choice("Object", "thing", choices.things)
 
     def _choice(self, label: str, setting: str, options: tuple[str, ...]) -> None:
         value = getattr(self._session.settings, setting)

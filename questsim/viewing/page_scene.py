@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import groupby
 
@@ -16,10 +17,11 @@ from questsim.body import DEFAULT_HEIGHT_M
 from questsim.heightfield import HeightField
 from questsim.skeleton import LINKS
 from questsim.viewing.costume import AVATAR, REFERENCE, Piece, costume_pieces
-from questsim.viewing.live import Snapshot, Stage, force_arrows
+from questsim.viewing.live import Part, Snapshot, Stage, force_arrows
 from questsim.viewing.render import metre_tile
 
 SKY = (226, 232, 240)
+_THING_COLOURS = [[240, 236, 224], [226, 170, 60]]
 _FLAT_HALF_SIZE_M = 40.0
 _GHOST_OPACITY = 0.28
 _ARROW_HEAD_M = 0.06
@@ -70,7 +72,7 @@ class PageScene:
             head_length=_ARROW_HEAD_M,
         )
         self._ground: viser.SceneNodeHandle | None = None
-        self._ball: viser.SceneNodeHandle | None = None
+        self._thing: viser.SceneNodeHandle | None = None
 
     def _link(self, name: str, link: str) -> viser.SceneNodeHandle:
         return self._scene.add_mesh_trimesh(name, _clothed(link))
@@ -114,8 +116,8 @@ class PageScene:
             for node, visible in ((self._axes, self.devices), (self._arrows, self.forces)):
                 if node.visible != visible:
                     node.visible = visible
-            if self._ball is not None and snapshot.ball is not None:
-                self._ball.position, self._ball.wxyz = snapshot.ball
+            if self._thing is not None and snapshot.thing is not None:
+                self._thing.position, self._thing.wxyz = snapshot.thing
             self._move_world(snapshot)
 
     def _set(self, stage: Stage) -> None:
@@ -128,13 +130,11 @@ class PageScene:
             self._ground = self._scene.add_mesh_trimesh(
                 "/world/ground", ground_mesh(stage.ground), cast_shadow=False
             )
-        if self._ball is not None:
-            self._ball.remove()
-            self._ball = None
-        if stage.ball_radius_m is not None:
-            self._ball = self._scene.add_mesh_trimesh(
-                "/world/ball", ball_mesh(stage.ball_radius_m), receive_shadow=False
-            )
+        if self._thing is not None:
+            self._thing.remove()
+            self._thing = None
+        if stage.parts:
+            self._thing = self._scene.add_mesh_trimesh("/world/thing", thing_mesh(stage.parts))
         self._centre = np.full(3, np.nan)
 
     def _move_world(self, snapshot: Snapshot) -> None:
@@ -245,10 +245,19 @@ def ground_mesh(ground: HeightField | None) -> trimesh.Trimesh:
     return mesh
 
 
-def ball_mesh(radius_m: float) -> trimesh.Trimesh:
-    """A ball in two colours, so that its rolling shows."""
-    mesh = trimesh.creation.icosphere(subdivisions=3, radius=radius_m)
-    octant = (mesh.vertices > 0.0).sum(axis=1) % 2
-    image = Image.fromarray(np.array([[[240, 240, 238], [220, 70, 50]]], np.uint8))
-    mesh.visual = _textured(np.column_stack([0.25 + 0.5 * octant, 0.5 + 0.0 * octant]), image, 0.5)
+def thing_mesh(parts: Sequence[Part]) -> trimesh.Trimesh:
+    """An object in two colours, so that its rolling shows."""
+    vertices, faces, count = [], [], 0
+    for part in parts:
+        if part.shape == "ball":
+            shape = trimesh.creation.icosphere(subdivisions=3, radius=part.size[0])
+        else:
+            shape = trimesh.creation.box(extents=2.0 * np.array(part.size))
+        vertices.append(shape.vertices + np.array(part.place))
+        faces.append(shape.faces + count)
+        count += len(shape.vertices)
+    mesh = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
+    half = (mesh.vertices > mesh.bounds.mean(axis=0)).sum(axis=1) % 2
+    image = Image.fromarray(np.array([_THING_COLOURS], np.uint8))
+    mesh.visual = _textured(np.column_stack([0.25 + 0.5 * half, 0.5 + 0.0 * half]), image, 0.5)
     return mesh

@@ -58,18 +58,20 @@ class Figure:
 
 @dataclass(frozen=True)
 class Marker:
-    """A box where a device is.
+    """A box where a device is, or another thing that moves.
 
     Attributes:
         position: ``(3,)`` metres.
         matrix: ``(3, 3)`` orientation.
-        size: ``(3,)`` half the edges, metres.
+        size: ``(3,)`` half the edges, or the radii, metres.
+        round: whether it is an ellipsoid instead.
     """
 
     position: np.ndarray
     matrix: np.ndarray
     size: tuple[float, float, float]
     rgba: tuple[float, float, float, float] = (0.10, 0.62, 0.95, 1.0)
+    round: bool = False
 
 
 @dataclass(frozen=True)
@@ -271,7 +273,7 @@ def _add_box(scene: mujoco.MjvScene, marker: Marker) -> None:
     geom = scene.geoms[scene.ngeom]
     mujoco.mjv_initGeom(
         geom,
-        mujoco.mjtGeom.mjGEOM_BOX,
+        mujoco.mjtGeom.mjGEOM_ELLIPSOID if marker.round else mujoco.mjtGeom.mjGEOM_BOX,
         np.array(marker.size, float),
         marker.position,
         marker.matrix.ravel(),
@@ -287,5 +289,6 @@ def _add_arrow(scene: mujoco.MjvScene, arrow: Arrow) -> None:
     mujoco.mjv_initGeom(
         geom, kind, nothing, nothing, np.eye(3).ravel(), np.array(arrow.rgba, np.float32)
     )
-    mujoco.mjv_connector(geom, kind, arrow.radius, arrow.start, arrow.end)
+    # MuJoCo draws an arrow half as long as it is told to.
+    mujoco.mjv_connector(geom, kind, arrow.radius, arrow.start, 2.0 * arrow.end - arrow.start)
     scene.ngeom += 1
