@@ -1,20 +1,33 @@
 """A live session does what viewers ask, refuses what it cannot do, and goes on."""
 
+import os
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from helpers import swaying_clip
+from PIL import Image
 
-from agents.agent import ZeroAgent, load_agent
+from agents.agent import Needs, ZeroAgent, load_agent, new_policy
+from agents.checkpoint import CARD_FILE, WEIGHTS_FILE, save_policy
+from agents.live.commands import DemoArgs, PlayArgs, demo, play
 from agents.live.drivers import TorqueDriver, usable_sensors
+from agents.live.recording import record
 from agents.live.runner import Runner
 from agents.live.session import AFTER_FALL_S, DemoSession
+from agents.live.watcher import Watcher, load_checkpoint, newest_checkpoint
+from agents.spec import Layout, PolicySpec
+from envs.config import EnvConfig
+from envs.layout import observation_layout
 from questsim.errors import InputError
 from questsim.motion.clip import FPS
 from questsim.skeleton import LINKS
+from questsim.viewing import gl
 from questsim.viewing.live import Settings, Trace
+from questsim.viewing.live_film import Take, film, take_frames
 
 DRIVERS = {
     "demo": lambda: TorqueDriver(load_agent("demo")),
@@ -267,6 +280,74 @@ def test_the_trace_keeps_the_last_seconds_once():
     assert error_cm[-1] == pytest.approx(100.0 * live.snapshot().error_m)
     forces = np.linalg.norm(live.snapshot().contact_force, axis=-1)
     assert (left[-1], right[-1]) == pytest.approx(tuple(forces))
+
+
+def checkpoint(folder: Path, steps: int, seed: int) -> None:
+    """A small policy with random weights, as a training writes it."""
+    torch.manual_seed(seed)
+    layout = Layout.of(observation_layout(EnvConfig()))
+    policy = new_policy(PolicySpec(hidden=(8,), critic_blocks=()), layout)
+    save_policy(folder, policy, Needs(), {"steps": steps, "minutes": 2.0, "motions": "synthetic"})
+
+
+def test_the_newest_checkpoint_is_that_written_last(tmp_path):
+    assert newest_checkpoint(tmp_path) is None
+    checkpoint(tmp_path / "teacher" / "best", 1, 1)
+    checkpoint(tmp_path / "student" / "last", 2, 2)
+    for folder, time_s in (("teacher/best", 2000), ("student/last", 1000)):
+        os.utime(tmp_path / folder / CARD_FILE, (time_s, time_s))
+    newest = newest_checkpoint(tmp_path)
+    assert newest is not None and newest.folder == tmp_path / "teacher" / "best"
+    stage = newest_checkpoint(tmp_path / "student")
+    assert stage is not None and stage.folder.name == "last"
+
+
+def test_a_newer_checkpoint_takes_over_and_a_broken_one_does_not(tmp_path):
+    run = tmp_path / "run"
+    checkpoint(run / "teacher" / "last", 1_000_000, 1)
+    first = newest_checkpoint(run)
+    assert first is not None
+    driver, note = load_checkpoint(run, first)
+    assert note == "teacher/last, 1.00 M steps, 2 min"
+    live = DemoSession([swaying_clip(frames=144)], {"run": lambda: driver}, Settings("sway", "run"))
+    watcher = Watcher(run, "run", live, first)
+    assert not watcher.poll()
+    advance(live, 5)
+    checkpoint(run / "teacher" / "last", 2_000_000, 2)
+    assert watcher.poll() and not watcher.poll()
+    shown = live.snapshot()
+    assert shown.note.startswith("teacher/last, 2.00 M") and shown.step == 5
+    (run / "teacher" / "last" / WEIGHTS_FILE).write_bytes(b"half")
+    os.utime(run / "teacher" / "last" / CARD_FILE, (2e9, 2e9))
+    assert not watcher.poll()
+    assert live.snapshot().note == shown.note
+    assert advance(live, 1).step == 6
+
+
+def test_play_says_that_a_run_has_no_policy_yet(tmp_path):
+    with pytest.raises(InputError, match="no policy yet"):
+        play(PlayArgs(tmp_path))
+
+
+def test_a_video_of_another_kind_is_refused():
+    with pytest.raises(InputError, match="--video"):
+        demo(DemoArgs(video=Path("out.avi")))
+
+
+@pytest.mark.skipif(gl.find_gl() is None, reason=gl.missing_gl())
+def test_a_session_is_filmed_with_its_push(tmp_path):
+    live = session(terrain="rough", thing="box")
+    takes = record(live, 1.5, 100.0)
+    assert [take.settings.clip for take in takes] == ["first"]
+    assert len(takes[0].moments) == 54
+    takes = record(live, 4.0, 100.0)
+    pushed = [moment.push_n for moment in takes[0].moments if moment.push_n.any()]
+    assert 7 <= len(pushed) <= 8 and np.linalg.norm(pushed[0]) == pytest.approx(100.0)
+    some = [Take(take.settings, take.moments[60:66]) for take in takes[:1]]
+    frames = list(take_frames(some[0], 160, 120))
+    assert len(frames) == 6 and frames[0].shape == (120, 160, 3)
+    picture = Image.open(film(some, tmp_path / "film.gif"))
+    assert getattr(picture, "n_frames", 1) == 2 and picture.size == (420, 236)
 
 
 def test_baselines_can_use_every_set_that_has_poses():

@@ -161,17 +161,17 @@ def test_a_clip_and_an_agent_are_chosen(live, tab):
 
 
 @needs_browser
-def test_a_viewer_that_leaves_does_not_stop_the_others(live, tab):
+def test_a_viewer_that_vanishes_does_not_disturb_the_others(live, tab):
     session, page = live
     wait = wait_in(tab)
+    session.pause(False)
     assert eventually(lambda: page.viewers == 1, wait)
-    second = tab.context.new_page()
-    second.goto(page.address)
-    assert eventually(lambda: page.viewers == 2, wait)
-    second.close()
-    assert eventually(lambda: page.viewers == 1, wait)
+    send(page.address)
     step = session.snapshot().step
-    assert eventually(lambda: session.snapshot().step > step, wait)
+    assert eventually(lambda: session.snapshot().step > step + 10, wait)
+    before = picture(tab)
+    assert eventually(lambda: (abs(picture(tab) - before).sum(-1) > 30).sum() > 100, wait)
+    assert page.viewers == 1
 
 
 # --- without one ----------------------------------------------------------------------------

@@ -1,13 +1,13 @@
 """Photograph the demo's page: ``python -m docs.figures.page --agent demo``.
 
-Chromium opens the page as a viewer would; the picture is taken after ``--seconds`` of the clip, a
-little after a push.
+Chromium opens the page as a viewer would; the picture is taken after ``--at`` seconds of the clip,
+while the avatar is pushed.
 """
 
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,18 +23,14 @@ from tests.browser import browser_page
 
 
 @dataclass(frozen=True)
-class PictureArgs:
-    """Photograph the demo's page."""
+class PictureArgs(DemoArgs):
+    """Photograph the demo's page; the last push comes just before the picture."""
 
-    demo: tyro.conf.OmitArgPrefixes[DemoArgs] = field(default_factory=DemoArgs)
-    """What the page shows."""
-    seconds: float = 2.0
-    """When in the clip the picture is taken."""
-    push_n: float = 60.0
-    """Force of the push just before, in newtons; 0 for none."""
+    at: float = 2.0
+    """When in the clip the picture is taken, in seconds."""
     width: int = 1280
     """Of the window in pixels."""
-    height: int = 800
+    height_px: int = 800
     """Of the window in pixels."""
     out: Path = Path("docs/images/page.png")
     """The picture."""
@@ -44,12 +40,12 @@ def take(args: PictureArgs) -> None:
     """Serve the page, look at it in a browser, write the picture."""
     stop = threading.Event()
     with Page(LOOPBACK, 0) as page:
-        session = demo_session(args.demo)
+        session = demo_session(args)
         session.pause(True)
         server = threading.Thread(target=watch, args=(page, session, stop))
         server.start()
         try:
-            with browser_page(page.address, args.width, args.height) as browser:
+            with browser_page(page.address, args.width, args.height_px) as browser:
                 picture = _photograph(browser, session, args)
         finally:
             stop.set()
@@ -66,11 +62,11 @@ def _photograph(browser: Any, session: Session, args: PictureArgs) -> bytes:
     for _ in range(close.count()):  # viser's note on drawing in software
         close.first.click()
     session.pause(False)
-    while session.snapshot().time_s < args.seconds - 0.15 or session.snapshot().outcome:
+    while session.snapshot().time_s < args.at - 0.15 or session.snapshot().outcome:
         browser.wait_for_timeout(5)
-    if args.push_n:
-        session.push(args.push_n, 90.0)
-    while session.snapshot().time_s < args.seconds:
+    if args.push:
+        session.push(args.push, 90.0)
+    while session.snapshot().time_s < args.at:
         browser.wait_for_timeout(5)
     session.pause(True)
     browser.wait_for_timeout(4000)
