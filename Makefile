@@ -68,6 +68,7 @@ train: $(INSTALLED)  ## train on two cores; MOTIONS=bandai-namco-2:train OUT=run
 
 benchmark: $(INSTALLED)  ## steps a second of the environments and of training
 	$(PY) -m benchmarks.env_throughput
+	$(PY) -m benchmarks.terrain_throughput
 	$(PY) -m benchmarks.train_throughput
 	OMP_NUM_THREADS=1 $(PY) -m benchmarks.realtime
 

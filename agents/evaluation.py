@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from agents.rolling import choose_clips, evaluation_sim, follow
 from agents.run_folder import data_record, versions
 from envs.config import EnvConfig, config_from
 from envs.core import BatchSim
-from envs.terrain import height_field
+from envs.terrain import height_field, terrain_named
 from questsim.errors import InputError, at_least
 from questsim.evaluation_report import check_writable, format_table, write_report
 from questsim.metrics import Rollout
@@ -33,7 +33,7 @@ BATCH_CLIPS = 320
 class EvaluateArgs:
     """Let an agent follow clips from their first frame and score it."""
 
-    agent: str
+    agent: str = "questsim"
     """A policy folder, a run folder, a shipped policy's name, zero or random."""
     motions: str = "synthetic"
     """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
@@ -41,6 +41,12 @@ class EvaluateArgs:
     """Environment id (see questsim envs); by default what the agent needs."""
     height: float | None = None
     """Stature in metres to scale avatar and clips to; by default the motions' own."""
+    avatar_height: float | None = None
+    """Stature in metres of the avatar, if it is not its user's: the devices are scaled to it."""
+    terrain: str | None = None
+    """Ground to walk on, e.g. rough or rough:amplitude_m=0.08, instead of the environment's."""
+    worlds: bool = False
+    """Run the worlds table instead: rough ground, slopes, pushes, ...; writes worlds.json."""
     out: Path | None = None
     """Folder for metrics.json, clips.csv and plots."""
     video: bool = False
@@ -65,19 +71,38 @@ def evaluate(args: EvaluateArgs) -> int:
     at_least(0, seed=args.seed)
     if args.video and args.out is None:
         raise InputError("a video needs a folder", "--video", "add --out DIR")
+    if args.worlds:
+        _check_worlds(args)
     if args.out is not None:
         check_writable(args.out)
     torch.set_num_threads(args.threads)
     agent = load_agent(args.agent)
-    config = env_config(agent, args.env, args.height)
+    height = args.height if args.avatar_height is None else args.avatar_height
+    config = env_config(agent, args.env, height)
+    if args.terrain is not None:
+        config = replace(config, terrain=terrain_named(args.terrain, "--terrain"))
     clips = load_motions(args.motions, seed=args.seed)
+    if args.worlds:
+        return _worlds(args, agent, clips, config)
     if args.max_clips is not None:
         clips = choose_clips(clips, args.max_clips)
     rollouts = roll_out(agent, clips, config, args.threads)
     if args.out is None:
         print(format_table(score(rollouts)))
         return 0
-    context = {
+    context = _context(args, agent, clips, config)
+    print(format_table(write_report(rollouts, args.out, context)))
+    print(f"written to {args.out}")
+    if args.video:
+        _film(rollouts, args.out / "rollouts.mp4", config)
+    return 0
+
+
+def _context(
+    args: EvaluateArgs, agent: Agent, clips: Sequence[Clip], config: EnvConfig
+) -> dict[str, Any]:
+    """What was evaluated, for the report."""
+    return {
         "agent": args.agent,
         "training": agent.card.get("training", {}) if isinstance(agent, PolicyAgent) else {},
         "config": config,
@@ -85,10 +110,24 @@ def evaluate(args: EvaluateArgs) -> int:
         "versions": versions(),
         "threads": args.threads,
     }
-    print(format_table(write_report(rollouts, args.out, context)))
-    print(f"written to {args.out}")
-    if args.video:
-        _film(rollouts, args.out / "rollouts.mp4", config)
+
+
+def _check_worlds(args: EvaluateArgs) -> None:
+    """Refuse what the table sets itself, or does not make."""
+    if args.out is None:
+        raise InputError("the table needs a folder", "--worlds", "add --out DIR")
+    for option in ("env", "height", "avatar_height", "terrain", "video"):
+        if getattr(args, option):
+            raise InputError("does not go with --worlds", f"--{option.replace('_', '-')}")
+
+
+def _worlds(args: EvaluateArgs, agent: Agent, clips: Sequence[Clip], config: EnvConfig) -> int:
+    from agents.worlds import format_worlds, run_worlds, write_worlds
+
+    assert args.out is not None
+    table = run_worlds(agent, clips, config, args.threads, args.max_clips, args.seed)
+    print(format_worlds(table))
+    print(f"written to {write_worlds(table, args.out, _context(args, agent, clips, config))}")
     return 0
 
 

@@ -80,12 +80,14 @@ def stages_behind(folder: Path) -> list[StagePart]:
     """
     run, training = run_of(folder), _training(folder)
     stage, earlier = training["stage"], list[StagePart]()
+    start = read_run(run)["args"].get("start")
     if stage in STAGES[1:]:
         before = STAGES[STAGES.index(stage) - 1]
         teacher = read_run(run)["args"].get("teacher")
         where = Path(teacher) if teacher and before == "teacher" else run / before
+        if start and stage == "finetune":
+            where = Path(start)
         earlier = stages_behind(find_policy(where))
-    start = read_run(run)["args"].get("start")
     if stage == "teacher" and start:
         earlier = stages_behind(find_policy(Path(start)))
     last = run / stage / "last"

@@ -34,6 +34,7 @@ from agents.spec import Layout, initial_gains, noise_by_joint
 from agents.stage import Budget, Stage, Stopper
 from envs import QuestVecEnv
 from envs.config import EnvConfig
+from envs.terrain import terrain_named
 from questsim.errors import InputError, at_least
 from questsim.motion.clip import Clip
 from questsim.skeleton import DOFS
@@ -73,7 +74,8 @@ class TrainArgs:
     teacher: Path | None = None
     """A trained teacher for the student stage, by default the run's own."""
     start: Path | None = None
-    """A teacher (its stage folder) whose weights the teacher begins with."""
+    """A run's stage folder whose weights the teacher begins with; with --stage finetune, a policy
+    (a run, a stage, a shipped policy's name) that is trained further."""
     sensors: str = "H+2C"
     """What the policy sees of the user."""
     future_frames: int = 6
@@ -82,6 +84,9 @@ class TrainArgs:
     """Statures in metres to train with, by default the motions' own."""
     mirrored: bool = False
     """Learn every clip mirrored as well."""
+    env: str | None = None
+    """Ground to learn on: rough, slope, stairs, course, ..., or rough:amplitude_m=0.06; flat by
+    default. With --start, or --stage finetune in a copy of a run, a policy goes on there."""
     hold_out: str = ""
     """Styles, joined by commas, that are not learnt from but evaluated on."""
     envs: int | None = None
@@ -131,8 +136,16 @@ def train(args: TrainArgs) -> int:
             if stopper.requested:
                 display.say(f"stopped; go on with --resume --out {args.out}")
                 return INTERRUPTED
-        display.say(f"trained: {find_policy(args.out)}")
+        display.say(_outcome(args.out))
     return 0
+
+
+def _outcome(out: Path) -> str:
+    """Where the policy is, if the training kept one."""
+    try:
+        return f"trained: {find_policy(out)}"
+    except InputError:  # a fine-tuning keeps only what is better than its start
+        return f"no better than its start yet; go on with --resume --out {out}"
 
 
 def load_clips(args: TrainArgs) -> list[Clip]:
@@ -222,6 +235,7 @@ def _env_config(args: TrainArgs, preset: Preset, config: StageConfig) -> EnvConf
         privileged=config.privileged,
         sampling=config.sampling,
         max_error_m=config.max_error_m,
+        terrain=None if args.env is None else terrain_named(args.env, "--env"),
     )
 
 
@@ -281,7 +295,7 @@ def _learner(
     if name == "teacher" and args.start is not None:
         _begin_with(learner.policy, args.start)
     if name == "finetune":
-        start = load_policy(find_policy(args.out / "student"))
+        start = load_policy(find_policy(args.start or args.out / "student"))
         start.bind(env)
         copy_actor(start.policy, learner.policy)
         noise = noise_by_joint(

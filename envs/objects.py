@@ -83,8 +83,9 @@ def add_objects(spec: mujoco.MjSpec, objects: Sequence[WorldObject]) -> None:
         mass = mass if thing.mass_kg is None else thing.mass_kg
         body = spec.worldbody.add_body(name=f"object{number}", pos=[3.0 + number, 0.0, 0.0])
         body.add_freejoint(name=f"object{number}")
-        volume = [8.0 * np.prod(size) if kind == _BOX else 1.0 for kind, size, _ in parts]
-        for (kind, size, place), share in zip(parts, np.divide(volume, sum(volume)), strict=True):
+        # Boxes are solid and alike: mass by volume. A ball is its only part.
+        volume = np.array([np.prod(size) if kind == _BOX else 1.0 for kind, size, _ in parts])
+        for (kind, size, place), share in zip(parts, volume / volume.sum(), strict=True):
             # Rolling friction only where something rolls: condim 6 costs contacts otherwise.
             body.add_geom(
                 type=kind, size=size, pos=place, mass=mass * share, rgba=_RGBA, group=2,

@@ -12,7 +12,6 @@ from questsim.errors import InputError
 from questsim.heightfield import HeightField
 
 COURSE = "course"
-KINDS: tuple[str, ...] = (*SHAPES, COURSE)
 DIRECTIONS = ("any", "up", "down", "across")
 MARGIN_M = 1.5
 """Clips keep this far from the edge."""
@@ -42,7 +41,7 @@ class Terrain:
     """What the ground is like; ``None`` instead of one is a plane.
 
     Attributes:
-        kind: one of ``KINDS``: ``"flat"``, ``"rough"``, ``"waves"``, ``"slope"``, ``"stairs"``
+        kind: ``"flat"``, ``"rough"``, ``"waves"``, ``"slope"``, ``"stairs"``
             (flights up and down along x), ``"steps"`` (blocks a step apart), ``"gaps"`` (ditches
             across x), or ``"course"``: tiles of several kinds, one column each, harder from row
             to row.
@@ -82,7 +81,8 @@ class Terrain:
 
     def __post_init__(self) -> None:
         for what, value, known in (
-            ("kind", self.kind, KINDS),
+            # Looked up now, not once: who adds a shape has a kind.
+            ("kind", self.kind, (*SHAPES, COURSE)),
             ("direction", self.direction, DIRECTIONS),
             *(("tile", tile, tuple(SHAPES)) for tile in self.tiles),
         ):

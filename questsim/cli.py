@@ -64,6 +64,10 @@ COMMANDS: dict[str, Command] = {
         "agents.evaluation", "evaluate", "EvaluateArgs",
         "let an agent follow clips and score it",
     ),
+    "envs": Command(
+        "envs.commands", "list_environments", "ListArgs",
+        "list the environments and their options",
+    ),
     "export": Command(
         "agents.export", "export", "ExportArgs",
         "write a policy as an ONNX graph from simulator state to torques",

@@ -1,0 +1,224 @@
+"""The worlds table, the examples of the documentation, and terrains on the command lines."""
+
+from __future__ import annotations
+
+import json
+import runpy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_bad_input import assert_refused, questsim
+from test_terrain import gliding_clip
+
+from agents import worlds
+from agents.agent import ZeroAgent
+from agents.evaluation import EvaluateArgs, env_config, evaluate, roll_out
+from agents.rolling import evaluation_sim
+from agents.training import TrainArgs, _outcome, train
+from agents.worlds import WORLDS, format_worlds, group_of, run_worlds
+from envs.terrain import TERRAINS, Terrain, height_field
+from questsim.cli import main
+from questsim.errors import InputError
+from questsim.motion.library import save_library
+from questsim.motion.retarget_back import to_motion
+
+ROOT = Path(__file__).parents[1]
+CLIPS = [
+    gliding_clip(0.8, frames=160),
+    replace(gliding_clip(0.0, frames=20), name="wave", kind="wave-left-hand"),
+    replace(gliding_clip(0.0, frames=20), name="squat", kind="squat"),
+]
+
+
+class Ghost:
+    """Takes the avatar along with the reference, as nothing real could."""
+
+    name, needs = "ghost", ZeroAgent.needs
+
+    def bind(self, env) -> None:
+        self._sim = env
+
+    def reset(self, n: int) -> None:
+        self._down = False
+
+    def act(self, obs: np.ndarray) -> np.ndarray:
+        sim = self._sim
+        for i, clip in enumerate(sim.reference.names):
+            placed = sim.placed_clip(i, next(c for c in CLIPS if c.name == clip))
+            row = min(sim.frame[i] - sim.reference.start[i] + 1, len(placed) - 1)
+            sim.qpos[i, :40], sim.qvel[i, :39] = placed.qpos[row], placed.qvel[row]
+        return np.zeros((len(obs), 33))
+
+
+def table(agent) -> dict:
+    return run_worlds(agent, CLIPS, env_config(agent))
+
+
+@pytest.fixture(scope="module")
+def of_ghost() -> dict:
+    return table(Ghost())
+
+
+def test_the_table_has_every_row_of_walks_and_gestures(of_ghost: dict) -> None:
+    rows = {row["name"]: row for row in of_ghost["rows"]}
+    assert list(rows) == [world.name for world in WORLDS]
+    counts = {name: row["clips"] for name, row in rows.items()}
+    assert counts == {
+        "flat": 2,
+        "rough_4cm": 2,
+        "rough_8cm": 2,
+        "slope_8deg": 6,
+        "other_height": 4,
+        "push_100n": 1,
+        "ball": 1,
+    }
+    assert set(rows["slope_8deg"]["settings"]) == {"up", "down", "across"}
+    assert 0.1 < of_ghost["speed"]["ratio_to_flat"] < 3.0
+
+
+def test_who_follows_and_stays_up_succeeds_and_who_falls_does_not(of_ghost: dict) -> None:
+    success = {row["name"]: row["success"] for row in of_ghost["rows"]}
+    assert {success[name] for name in success if name != "ball"} == {1.0}
+    fallen = {row["name"]: row for row in table(ZeroAgent())["rows"]}
+    assert fallen["push_100n"]["success"] == 0.0 and fallen["ball"]["success"] == 0.0
+    assert fallen["flat"]["by_group"]["walking"] == 0.0
+    assert fallen["rough_4cm"]["reached"] is False and fallen["flat"]["reached"] is None
+
+
+def test_a_ball_that_nobody_touches_is_no_success(monkeypatch) -> None:
+    far = replace(worlds.BALL, aside_m=(3.0, 3.0))
+    row = next(w for w in WORLDS if w.name == "ball")
+    monkeypatch.setattr(worlds, "WORLDS", (replace(row, settings={"ball": {"objects": (far,)}}),))
+    assert table(Ghost())["rows"][0]["success"] == 0.0
+
+
+def test_the_table_reads_as_text(of_ghost: dict) -> None:
+    text = format_worlds(of_ghost)
+    assert "rough ground, ±4 cm" in text and "90%  reached" in text
+    assert len(text.splitlines()) == len(WORLDS) + 2
+
+
+def test_kinds_fall_into_the_four_groups() -> None:
+    groups = {
+        "walk": "walking",
+        "walk-turn-left": "turning",
+        "turn-right": "turning",
+        "run": "running",
+        "jog": "running",
+        "raise-up-both-hands": "gesture",
+        "wave": "gesture",
+        "side-left": None,
+        "squat": None,
+    }
+    assert {kind: group_of(kind) for kind in groups} == groups
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("motions") / "walks.npz"
+    save_library(path, [to_motion(clip) for clip in CLIPS], CLIPS)
+    return path
+
+
+def test_the_command_writes_the_table(library, tmp_path, capsys, monkeypatch) -> None:
+    monkeypatch.setattr(worlds, "WORLDS", WORLDS[:2])
+    args = EvaluateArgs("zero", str(library), worlds=True, out=tmp_path / "w", max_clips=2)
+    assert evaluate(args) == 0
+    written = json.loads((tmp_path / "w" / "worlds.json").read_text())
+    assert [row["name"] for row in written["rows"]] == ["flat", "rough_4cm"]
+    assert written["schema"] == "questsim-worlds" and written["context"]["agent"] == "zero"
+    assert "rough ground" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"out": None}, "needs a folder"),
+        ({"height": 1.8}, "--height: does not go"),
+        ({"terrain": "rough"}, "--terrain: does not go"),
+        ({"video": True}, "--video: does not go"),
+    ],
+)
+def test_the_table_refuses_what_it_sets_itself(options: dict, message: str, tmp_path) -> None:
+    options = {"out": tmp_path / "w", **options}
+    with pytest.raises(InputError, match=message):
+        evaluate(EvaluateArgs("zero", worlds=True, **options))
+
+
+def test_the_table_needs_a_walk_long_enough() -> None:
+    with pytest.raises(InputError, match=r"no clip of walking lasts 4\.2 s"):
+        run_worlds(ZeroAgent(), CLIPS[1:], env_config(ZeroAgent()))
+
+
+def test_rollouts_on_a_terrain_are_scored_against_the_lifted_clip() -> None:
+    config = replace(env_config(ZeroAgent()), terrain=TERRAINS["slope"])
+    rollout = roll_out(ZeroAgent(), CLIPS[1:2], config)[0]
+    field = height_field(TERRAINS["slope"])
+    pelvis = rollout.reference.link_position[:, 0]
+    lift = pelvis[:, 2] - CLIPS[1].link_position[:, 0, 2]
+    np.testing.assert_allclose(lift, field.ground_at(pelvis), atol=1e-6)
+    assert rollout.link_error_m[0] < 0.15
+    assert np.abs(rollout.foot_clearance[0]).max() < 0.2
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        (("evaluate", "--agent", "zero", "--terrain", "lava"), "unknown terrain 'lava'"),
+        (("evaluate", "--agent", "zero", "--avatar-height", "3"), "1.2-2.2 m"),
+        (("train", "--out", "run", "--env", "rough:amplitude_m=9"), "amplitude_m is 9"),
+        (("envs", "--name", "QuestSimMoon-v0"), "there is no 'QuestSimMoon-v0'"),
+    ],
+)
+def test_worlds_that_are_not_are_refused_in_one_line(words, wanted, library, tmp_path) -> None:
+    motions = () if words[0] == "envs" else ("--motions", library)
+    assert_refused(questsim(tmp_path, *words, *motions), wanted)
+
+
+def test_environments_are_listed_and_described(capsys) -> None:
+    assert main(["envs"]) == 0
+    assert "QuestSimStairs-v0   terrain='stairs'" in capsys.readouterr().out
+    assert main(["envs", "--name", "QuestSimSlope-v0"]) == 0
+    described = capsys.readouterr().out
+    assert "475 numbers" in described and "slope_deg = 8.0  (0 to 30)" in described
+
+
+def test_a_policy_is_trained_further_on_a_terrain(library, tmp_path, monkeypatch) -> None:
+    made = []
+    monkeypatch.setattr(
+        "agents.training.evaluation_sim",
+        lambda clips, config, *rest: made.append(config) or evaluation_sim(clips, config, *rest),
+    )
+    args = TrainArgs(
+        tmp_path / "run",
+        str(library),
+        stage="finetune",
+        start=Path("demo"),
+        env="rough:amplitude_m=0.06",
+        steps=64,
+        envs=4,
+        threads=1,
+    )
+    assert train(args) == 0
+    assert made[0].terrain == Terrain(amplitude_m=0.06)
+    record = (tmp_path / "run" / "run.yaml").read_text()
+    assert "env: rough:amplitude_m=0.06" in record
+
+
+def test_a_fine_tuning_that_found_nothing_better_says_so(tmp_path) -> None:
+    assert "no better than its start yet; go on with --resume" in _outcome(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["new_terrain", "new_reward", "new_agent"])
+def test_the_examples_run_and_are_short(name: str) -> None:
+    path = ROOT / "docs" / "examples" / f"{name}.py"
+    assert len(path.read_text().splitlines()) < 40
+    result = runpy.run_path(str(path))["main"]()
+    if name == "new_terrain":
+        assert result.floor.max() > 0.0 and result.placement.field.height.max() > 0.02
+    elif name == "new_reward":
+        assert (result[0] > result[1]).all()
+    else:
+        assert result["all"]["clips"] == 1
