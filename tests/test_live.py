@@ -347,7 +347,7 @@ def test_a_session_is_filmed_with_its_push(tmp_path):
     frames = list(take_frames(some[0], 160, 120))
     assert len(frames) == 6 and frames[0].shape == (120, 160, 3)
     picture = Image.open(film(some, tmp_path / "film.gif"))
-    assert getattr(picture, "n_frames", 1) == 2 and picture.size == (420, 236)
+    assert getattr(picture, "n_frames", 1) == 2 and picture.size == (360, 202)
 
 
 def test_baselines_can_use_every_set_that_has_poses():

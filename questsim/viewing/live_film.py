@@ -19,7 +19,7 @@ from questsim.viewing.render import Arrow, Figure, Marker, SceneRenderer
 from questsim.viewing.video import write_gif, write_video
 
 LEGEND = "orange: avatar   blue: its user   green: forces"
-GIF_STRIDE, GIF_WIDTH = 3, 420
+GIF_STRIDE, GIF_WIDTH = 3, 360
 _GHOST_OPACITY = 0.30
 _LEAST_ARROW_M = 0.05
 _PUSH_RED = (0.85, 0.15, 0.12, 1.0)

@@ -56,7 +56,7 @@ def write_video(
 
 
 def write_gif(
-    path: str | Path, frames: Iterable[np.ndarray], fps: float = 12.0, colours: int = 128
+    path: str | Path, frames: Iterable[np.ndarray], fps: float = 12.0, colours: int = 64
 ) -> int:
     """Write an endless GIF, for pages that show pictures but no videos.
 
