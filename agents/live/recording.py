@@ -23,6 +23,7 @@ def record(session: DemoSession, seconds: float, push_n: float = 0.0) -> list[Ta
     left, side = round(seconds * FPS), 90.0
     for name in session.playlist():
         session.change(clip=name)
+        session.restart()
         moments = _take(session, left, push_n, side)
         takes.append(Take(session.settings, moments))
         left, side = left - len(moments), -side

@@ -225,7 +225,7 @@ def _arrows(figure: Figure, axes: np.ndarray) -> None:
         y = box(i).y1 + 0.088
         arrow((box(i).x1 - 0.03, y), (box(i + 1).x0 - 0.01, y))
     # From the end of the upper row to the beginning of the lower one.
-    y = box(4).y1 + 0.15
+    y = box(4).y1 + 0.137
     arrow((box(3).x1, y), (box(4).x0 - 0.02, y))
 
 
