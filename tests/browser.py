@@ -40,6 +40,9 @@ def _chromium() -> str | None:
     return shutil.which("chromium") or shutil.which("chromium-browser")
 
 
+_DRAWS = "[...document.querySelectorAll('canvas')].some(c => c.width > 300 && c.height > 300)"
+
+
 @contextmanager
 def browser_page(address: str, width: int = 800, height: int = 600) -> Iterator[Any]:
     """A Playwright page at an address, in a browser that has never been used.
@@ -62,7 +65,7 @@ def browser_page(address: str, width: int = 800, height: int = 600) -> Iterator[
             browser.set_default_timeout(TIMEOUT_MS)
             page = browser.pages[0]
             page.goto(address)
-            page.wait_for_selector("canvas")
+            page.wait_for_function(_DRAWS)  # curves have canvases as well, empty ones at first
             yield page
         finally:
             browser.close()
