@@ -12,11 +12,12 @@ INSTALLED := $(VENV)/.installed
 # Two test processes with many spinning OpenMP threads each would slow one another tenfold.
 test check wheel: export OMP_NUM_THREADS := 1
 
-.PHONY: help install demo test check format train benchmark wheel clean
+.PHONY: help install demo demo-video demo-scores docs page-picture test check format train \
+	benchmark wheel clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1|/' | \
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */  make \1|/' | \
 		awk -F'|' '{ printf "%-18s %s\n", $$1, $$2 }'
 
 install: $(INSTALLED)  ## make .venv and install everything into it
@@ -32,8 +33,23 @@ $(INSTALLED): pyproject.toml constraints.txt
 
 DEMO_MOTIONS ?= synthetic:walk+stand+wave+raise-right-hand+raise-both-hands
 
-demo: $(INSTALLED)  ## evaluate the shipped policy on embedded motions; writes demo/
+DEMO_FLAGS ?=
+
+demo: $(INSTALLED)  ## watch a policy in the browser; DEMO_FLAGS="--port 9000"
+	$(VENV)/bin/questsim demo $(DEMO_FLAGS)
+
+demo-video: $(INSTALLED)  ## the same without a browser: writes demo/demo.mp4
+	$(VENV)/bin/questsim demo --video demo/demo.mp4 $(DEMO_FLAGS)
+
+demo-scores: $(INSTALLED)  ## evaluate the shipped policy on embedded motions; writes demo/
 	$(PY) evaluate.py --agent demo --motions $(DEMO_MOTIONS) --out demo --video
+
+docs: $(INSTALLED)  ## build the documentation's site into site/
+	$(PY) -m mkdocs build --strict --quiet
+	@echo "open site/index.html"
+
+page-picture: $(INSTALLED)  ## photograph the page for the README; DEMO_FLAGS="--agent NAME"
+	$(PY) -m docs.figures.page $(DEMO_FLAGS)
 
 test: $(INSTALLED)  ## everything CI runs: format, lint, types, tests
 	$(PY) -m ruff format --check .
@@ -63,5 +79,5 @@ wheel: $(INSTALLED)  ## build the wheel into dist/ and try it outside the checko
 	QUESTSIM_WHEEL=$$(ls dist/*.whl) $(PY) -m pytest tests/test_packaging.py
 
 clean:  ## remove what can be made again, except .venv and runs/
-	rm -rf build dist demo *.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf build dist demo site *.egg-info .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +

@@ -32,6 +32,14 @@ class Command(NamedTuple):
 
 
 COMMANDS: dict[str, Command] = {
+    "demo": Command(
+        "agents.live.commands", "demo", "DemoArgs",
+        "watch a policy follow a user: a page for the browser",
+    ),
+    "play": Command(
+        "agents.live.commands", "play", "PlayArgs",
+        "watch a training's newest policy, while it learns",
+    ),
     "motions import": Command(
         "questsim.motion.commands", "import_motions", "ImportArgs",
         "read BVH and npz files into a library of clips",

@@ -72,6 +72,18 @@ class HeightField:
         """Its middle, x and y in metres."""
         return self.origin[0] + 0.5 * self.size[0], self.origin[1] + 0.5 * self.size[1]
 
+    def around(self, points: np.ndarray, margin_m: float) -> HeightField:
+        """The part of the field within ``margin_m`` of the box around points ``(..., 2 or 3)``."""
+        xy = points[..., :2].reshape(-1, 2)
+        low = (xy.min(axis=0) - margin_m - self.origin) / self.cell_m
+        high = (xy.max(axis=0) + margin_m - self.origin) / self.cell_m
+        most = np.array(self.height.shape[::-1]) - 1
+        first = np.clip(np.floor(low).astype(int), 0, most - 1)
+        last = np.clip(np.ceil(high).astype(int), first + 1, most)
+        part = (slice(first[1], last[1] + 1), slice(first[0], last[0] + 1))
+        x, y = self.origin + self.cell_m * first
+        return HeightField(self.height[part], self.ground[part], self.cell_m, (float(x), float(y)))
+
     def height_at(self, points: np.ndarray) -> np.ndarray:
         """Height of the surface ``(...)`` at points ``(..., 2 or 3)``, exactly as it collides."""
         row, column, u, v = self._cell(points)

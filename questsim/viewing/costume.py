@@ -78,15 +78,45 @@ def figure_spec(height_m: float, look: Look, devices: bool = True) -> mujoco.MjS
     for name, rgba in vars(look).items():
         spec.add_material(name=name, rgba=rgba, specular=0.15, shininess=0.2)
     ratio = height_m / DEFAULT_HEIGHT_M
-    for link, material, blobs in _parts(spec, ratio):
+    for link, material, blobs in list(_worn(spec, ratio, devices)):
         _dress(spec, link, material, _scaled(blobs, ratio))
-    if devices:
-        for link, material, blobs in _device_parts(spec, ratio):
-            _dress(spec, link, material, _scaled(blobs, ratio))
     for geom in list(spec.geoms):
         if not geom.name.startswith("costume"):
             spec.delete(geom)
     return spec
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A piece of the costume, in its link's frame, of the 1.75 m body.
+
+    Attributes:
+        link: name of the link that wears it.
+        material: a field of ``Look``.
+        vertices, normals: ``(m, 3)`` metres, unit vectors.
+        faces: ``(f, 3)`` indices of vertices.
+    """
+
+    link: str
+    material: str
+    vertices: np.ndarray
+    normals: np.ndarray
+    faces: np.ndarray
+
+
+def costume_pieces(devices: bool = True) -> list[Piece]:
+    """The whole costume of the 1.75 m body as meshes, for viewers other than MuJoCo's."""
+    spec = scaled_spec()
+    return [
+        Piece(link, material, *convex_hull(_scaled(blobs, 1.0)))
+        for link, material, blobs in _worn(spec, 1.0, devices)
+    ]
+
+
+def _worn(spec: mujoco.MjSpec, ratio: float, devices: bool) -> Iterator[tuple[str, str, Blobs]]:
+    yield from _parts(spec, ratio)
+    if devices:
+        yield from _device_parts(spec, ratio)
 
 
 def _parts(spec: mujoco.MjSpec, ratio: float) -> Iterator[tuple[str, str, Blobs]]:

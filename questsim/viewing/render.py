@@ -58,18 +58,35 @@ class Figure:
 
 @dataclass(frozen=True)
 class Marker:
-    """A box where a device is.
+    """A box where a device is, or another thing that moves.
 
     Attributes:
         position: ``(3,)`` metres.
         matrix: ``(3, 3)`` orientation.
-        size: ``(3,)`` half the edges, metres.
+        size: ``(3,)`` half the edges, or the radii, metres.
+        round: whether it is an ellipsoid instead.
     """
 
     position: np.ndarray
     matrix: np.ndarray
     size: tuple[float, float, float]
     rgba: tuple[float, float, float, float] = (0.10, 0.62, 0.95, 1.0)
+    round: bool = False
+
+
+@dataclass(frozen=True)
+class Arrow:
+    """An arrow, such as a force.
+
+    Attributes:
+        start, end: ``(3,)`` metres.
+        radius: of its shaft in metres.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    radius: float = 0.014
+    rgba: tuple[float, float, float, float] = (0.12, 0.63, 0.35, 1.0)
 
 
 class SceneRenderer:
@@ -120,7 +137,10 @@ class SceneRenderer:
         return markers
 
     def render(
-        self, poses: Sequence[np.ndarray], camera: Camera, markers: Sequence[Marker] = ()
+        self,
+        poses: Sequence[np.ndarray],
+        camera: Camera,
+        markers: Sequence[Marker | Arrow] = (),
     ) -> np.ndarray:
         """A picture ``(height, width, 3)`` uint8 of each figure in its pose ``(40,)``."""
         self._data.qpos[:] = np.concatenate(poses)
@@ -135,7 +155,10 @@ class SceneRenderer:
         scene.flags[mujoco.mjtRndFlag.mjRND_HAZE] = True
         _aim_lights(scene, camera)
         for marker in markers:
-            _add_box(scene, marker)
+            if isinstance(marker, Arrow):
+                _add_arrow(scene, marker)
+            else:
+                _add_box(scene, marker)
         return self._renderer.render()
 
 
@@ -250,10 +273,22 @@ def _add_box(scene: mujoco.MjvScene, marker: Marker) -> None:
     geom = scene.geoms[scene.ngeom]
     mujoco.mjv_initGeom(
         geom,
-        mujoco.mjtGeom.mjGEOM_BOX,
+        mujoco.mjtGeom.mjGEOM_ELLIPSOID if marker.round else mujoco.mjtGeom.mjGEOM_BOX,
         np.array(marker.size, float),
         marker.position,
         marker.matrix.ravel(),
         np.array(marker.rgba, np.float32),
     )
+    scene.ngeom += 1
+
+
+def _add_arrow(scene: mujoco.MjvScene, arrow: Arrow) -> None:
+    geom = scene.geoms[scene.ngeom]
+    nothing = np.zeros(3)
+    kind = mujoco.mjtGeom.mjGEOM_ARROW
+    mujoco.mjv_initGeom(
+        geom, kind, nothing, nothing, np.eye(3).ravel(), np.array(arrow.rgba, np.float32)
+    )
+    # MuJoCo draws an arrow half as long as it is told to.
+    mujoco.mjv_connector(geom, kind, arrow.radius, arrow.start, 2.0 * arrow.end - arrow.start)
     scene.ngeom += 1

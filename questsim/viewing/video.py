@@ -1,4 +1,4 @@
-"""MP4 files from pictures."""
+"""MP4 and GIF files from pictures."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 
 import imageio_ffmpeg
 import numpy as np
+from PIL import Image
 
 from questsim.errors import InputError
 from questsim.files import whole_file
@@ -52,6 +53,56 @@ def write_video(
             encoder.send(np.ascontiguousarray(frame[:height, :width]))
             count += 1
     return count
+
+
+def write_gif(
+    path: str | Path, frames: Iterable[np.ndarray], fps: float = 12.0, colours: int = 64
+) -> int:
+    """Write an endless GIF, for pages that show pictures but no videos.
+
+    All frames share one palette, so that nothing flickers.
+
+    Args:
+        path: where to; its folder is made.
+        frames: pictures ``(H, W, 3)`` uint8, all of one size.
+        fps: frames a second; GIF knows hundredths of a second.
+        colours: at most 256; fewer make a smaller file.
+
+    Returns:
+        The number of frames.
+
+    Raises:
+        InputError: there are no frames, or the folder cannot be written.
+    """
+    path = Path(path)
+    pictures = [Image.fromarray(frame) for frame in frames]
+    if not pictures:
+        raise InputError("a GIF needs at least one frame", path)
+    sample = np.concatenate([np.asarray(p) for p in pictures[:: max(1, len(pictures) // 6)]])
+    palette = _palette(Image.fromarray(sample), colours)
+    flat = [p.quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as fresh:
+        flat[0].save(
+            fresh,
+            "GIF",
+            save_all=True,
+            append_images=flat[1:],
+            duration=10 * round(100.0 / fps),
+            loop=0,
+            optimize=False,
+        )
+    return len(pictures)
+
+
+def _palette(sample: Image.Image, colours: int) -> Image.Image:
+    """Mostly the commonest colours, and some so that small things keep theirs, such as arrows."""
+    rare = colours // 4
+    common = sample.quantize(colours - rare, Image.Quantize.MEDIANCUT).getpalette() or []
+    spread = sample.quantize(rare, Image.Quantize.MAXCOVERAGE).getpalette() or []
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(common[: 3 * (colours - rare)] + spread[: 3 * rare])
+    return palette
 
 
 def _encoder(

@@ -1,0 +1,217 @@
+"""``questsim demo`` and ``questsim play``: policies to watch in a browser."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import torch
+import tyro
+
+from agents.agent import PolicyAgent, load_agent
+from agents.checkpoint import CARD_FILE, SHIPPED
+from agents.live.drivers import Driver, TorqueDriver
+from agents.live.recording import record
+from agents.live.runner import Runner
+from agents.live.session import DemoSession
+from agents.live.watcher import Watcher, load_checkpoint, newest_checkpoint
+from agents.rolling import choose_clips
+from questsim.body import DEFAULT_HEIGHT_M
+from questsim.errors import InputError, at_least
+from questsim.evaluation_report import check_writable
+from questsim.motion.clip import Clip
+from questsim.viewing.live import Settings
+from questsim.viewing.page import Page
+from questsim.viewing.page_server import DEFAULT_PORT, LOOPBACK
+
+BASELINES = ("zero", "random")
+FIRST_CLIP = "synthetic-walk-1.3"
+MOST_CLIPS = 80
+"""More would make the list of clips on the page too long to choose from."""
+
+
+@dataclass(frozen=True)
+class DemoArgs:
+    """Watch a shipped policy follow a user, in a browser or on video."""
+
+    agent: str = "demo"
+    """To begin with: a shipped policy's name, a run folder, a policy folder, zero or random."""
+    motions: str = "synthetic"
+    """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
+    clip: str | None = None
+    """The clip to begin with; by default a walk, or the first of the motions."""
+    terrain: str = "rough"
+    """The ground: flat, rough, waves, slope, stairs, steps or gaps."""
+    roughness: float = 0.5
+    """Multiplies the terrain's relief: 1 is ±4 cm on rough ground, slopes of 8 degrees."""
+    thing: str = "none"
+    """An object in the way: ball, box, hurdle or chair."""
+    height: float = DEFAULT_HEIGHT_M
+    """Stature of user and avatar in metres."""
+    host: str = LOOPBACK
+    """Where to listen; anything else than the default lets others watch and control."""
+    port: int = DEFAULT_PORT
+    """The page's port; 0 takes any free one."""
+    video: Path | None = None
+    """Write this MP4 or GIF instead of serving a page."""
+    seconds: float = 15.0
+    """Length of the video."""
+    push: float = 40.0
+    """Force in newtons of the pushes in the video; 0 for none."""
+    seed: int = 0
+    """Of the embedded motions."""
+
+
+@dataclass(frozen=True)
+class PlayArgs:
+    """Watch the newest policy of a training, while it learns."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """A run folder, a stage in it, or a policy folder."""
+    motions: str | None = None
+    """What to follow; by default what the run is trained on."""
+    clip: str | None = None
+    """The clip to begin with; by default the first."""
+    terrain: str = "flat"
+    """The ground: flat, rough, waves, slope, stairs, steps or gaps."""
+    roughness: float = 1.0
+    """Multiplies the terrain's relief: 1 is ±4 cm on rough ground, slopes of 8 degrees."""
+    thing: str = "none"
+    """An object in the way: ball, box, hurdle or chair."""
+    height: float = DEFAULT_HEIGHT_M
+    """Stature of user and avatar in metres."""
+    host: str = LOOPBACK
+    """Where to listen; anything else than the default lets others watch and control."""
+    port: int = DEFAULT_PORT
+    """The page's port; 0 takes any free one."""
+
+
+def demo(args: DemoArgs) -> None:
+    """Serve the page until Ctrl-C, or write the video.
+
+    Raises:
+        InputError: an agent, motions, clip, setting or address that cannot be used.
+    """
+    at_least(0, seed=args.seed)
+    torch.set_num_threads(1)
+    if args.video is not None:
+        _write_video(args, args.video)
+        return
+    with Page(args.host, args.port) as page:
+        # The page is there before the motions are, and says so.
+        _announce(page)
+        watch(page, demo_session(args))
+
+
+def play(args: PlayArgs) -> None:
+    """Serve the page with a run's newest policy until Ctrl-C.
+
+    Raises:
+        InputError: there is no policy in the folder yet, or an argument cannot be used.
+    """
+    torch.set_num_threads(1)
+    checkpoint = newest_checkpoint(args.run)
+    if checkpoint is None:
+        raise InputError("has no policy yet", args.run, "wait for its first checkpoint")
+    name = args.run.resolve().name
+    driver, note = load_checkpoint(args.run, checkpoint)
+    with Page(args.host, args.port, f"QuestSim {name}") as page:
+        _announce(page)
+        clips = _clips(args.motions or _trained_on(driver), args.clip)
+        settings = Settings(
+            clip=args.clip or clips[0].name,
+            agent=name,
+            sensors="",
+            terrain=args.terrain,
+            roughness=args.roughness,
+            thing=args.thing,
+            height_m=args.height,
+        )
+        session = DemoSession(clips, {name: lambda: driver, **available_drivers()}, settings)
+        session.note = note
+        with Watcher(args.run, name, session, checkpoint):
+            watch(page, session)
+
+
+def _trained_on(driver: TorqueDriver) -> str:
+    """The motion argument of a policy's training."""
+    card = driver.agent.card if isinstance(driver.agent, PolicyAgent) else {}
+    training = card.get("training")
+    motions = training.get("motions") if isinstance(training, dict) else None
+    return motions if isinstance(motions, str) and motions else "synthetic"
+
+
+def _announce(page: Page) -> None:
+    print(f"open {page.address} in a browser; Ctrl-C ends", flush=True)
+
+
+def watch(page: Page, session: DemoSession, stop: threading.Event | None = None) -> None:
+    """Run a session in real time and show it until ``stop`` or the simulation's failure."""
+    stop = stop or threading.Event()
+    with Runner(session, stop) as runner:
+        page.watch(session, stop)
+    if runner.failure is not None:
+        raise runner.failure
+
+
+def demo_session(args: DemoArgs) -> DemoSession:
+    """A session with the shipped policies, the baselines and one agent more, if it is another."""
+    drivers = available_drivers(args.agent)
+    clips = _clips(args.motions, args.clip, args.seed)
+    names = [clip.name for clip in clips]
+    settings = Settings(
+        clip=args.clip or (FIRST_CLIP if FIRST_CLIP in names else names[0]),
+        agent=args.agent,
+        sensors="",  # the agent's own
+        terrain=args.terrain,
+        roughness=args.roughness,
+        thing=args.thing,
+        height_m=args.height,
+    )
+    return DemoSession(clips, drivers, settings)
+
+
+def _clips(motions: str, wanted: str | None, seed: int = 0) -> Sequence[Clip]:
+    """Clips of every kind of motion, not more than a list can show; the wanted one among them."""
+    from questsim.motion.spec import load_motions
+
+    clips = load_motions(motions, seed=seed)
+    if len(clips) <= MOST_CLIPS:
+        return clips
+    chosen = choose_clips(clips, MOST_CLIPS)
+    named = [clip for clip in clips if clip.name == wanted and clip not in chosen]
+    return named + chosen
+
+
+def available_drivers(first: str | None = None) -> Mapping[str, Callable[[], Driver]]:
+    """What can drive the avatar, by name: the shipped policies, the baselines, and ``first``."""
+    shipped = sorted(path.parent.name for path in SHIPPED.glob(f"*/{CARD_FILE}"))
+    names: list[str] = [*([first] if first else []), *shipped, *BASELINES]
+    return {name: partial(_torque_driver, name) for name in names}
+
+
+def _torque_driver(name: str) -> Driver:
+    return TorqueDriver(load_agent(name))
+
+
+def _write_video(args: DemoArgs, path: Path) -> None:
+    """Film the session, or say in one line why there is no film."""
+    from questsim.viewing.gl import find_gl, missing_gl
+    from questsim.viewing.live_film import film
+
+    if path.suffix.lower() not in (".mp4", ".gif"):
+        raise InputError(f"{path.name} is no .mp4 and no .gif", "--video")
+    at_least(1, seconds=args.seconds)
+    at_least(0, push=args.push)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    check_writable(path.parent)
+    if find_gl() is None:
+        raise InputError(missing_gl(), "--video")
+    takes = record(demo_session(args), args.seconds, args.push)
+    print(f"filming {sum(len(take.moments) for take in takes)} frames", file=sys.stderr)
+    print(film(takes, path))

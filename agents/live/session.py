@@ -1,0 +1,379 @@
+"""A simulation of one avatar that runs while it is watched, and does what viewers ask."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from agents.live.drivers import Driver, config_for, usable_sensors
+from envs.config import EnvConfig
+from envs.core import BatchSim
+from envs.objects import OBJECTS, WorldObject
+from envs.terrain import COURSE, RANGES, TERRAINS, Terrain
+from questsim import rotations as rot
+from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
+from questsim.errors import InputError
+from questsim.motion.clip import FPS, Clip
+from questsim.sensors import device_poses, sensor_set
+from questsim.skeleton import NUM_DOFS
+from questsim.viewing.live import ROUGHNESS, SPEEDS, Choices, Part, Settings, Snapshot, Stage
+
+AFTER_FALL_S, AFTER_END_S = 2.0, 0.7
+"""How long an episode that is over goes on before the clip begins again."""
+
+GROUNDS = tuple(name for name in TERRAINS if name != COURSE)
+"""A course's tiles are smaller than many clips' paths."""
+
+SEEN_M = 14.0
+"""How far around the clip's path viewers see the ground."""
+
+NOTHING = "none"
+PUSH_S = 0.2
+MAX_PUSH_N = 1000.0
+_AVATAR = 7 + NUM_DOFS
+_OBJECT = "object0"
+
+
+class DemoSession:
+    """One avatar that follows one clip after another setting, from any number of threads.
+
+    A change of settings is made at once, between two steps; a change that cannot be made raises
+    ``InputError`` and leaves everything as it was.
+
+    Args:
+        clips: what can be followed; names are unique.
+        drivers: by name, functions that make what moves the avatar; each is called once.
+        settings: to begin with; empty sensors are the agent's own.
+    """
+
+    def __init__(
+        self,
+        clips: Sequence[Clip],
+        drivers: Mapping[str, Callable[[], Driver]],
+        settings: Settings,
+    ) -> None:
+        if not clips:
+            raise InputError("there are no clips", "--motions")
+        self._clips = {clip.name: clip for clip in clips}
+        self._make_driver = dict(drivers)
+        self._drivers: dict[str, Driver] = {}
+        self._lock = threading.RLock()
+        if not settings.sensors:
+            settings = replace(settings, sensors=self._driver(settings.agent).needs.sensors)
+        self._settings = settings
+        self._stage = Stage(0)
+        self._step, self._begun = 0, 0
+        self._outcome, self._hold = "", 0
+        self._paused, self._one_step = False, False
+        self.note = ""
+        self._sim: BatchSim = self._build(settings)
+
+    # -- what viewers see ------------------------------------------------------------------
+
+    @property
+    def settings(self) -> Settings:
+        """The present settings."""
+        return self._settings
+
+    @property
+    def choices(self) -> Choices:
+        """What can be chosen now."""
+        return Choices(
+            clips=tuple(self._clips),
+            agents=tuple(self._make_driver),
+            sensors=usable_sensors(self._driver(self._settings.agent)),
+            terrains=GROUNDS,
+            things=(NOTHING, *OBJECTS),
+        )
+
+    def playlist(self) -> list[str]:
+        """Names of the present clip, then of one clip of each other kind of motion, then the rest.
+
+        The one of a kind is its middle one: libraries often begin and end with extremes.
+        """
+        present = self._clips[self._settings.clip]
+        kinds: dict[str, list[str]] = {present.kind: []}
+        for clip in self._clips.values():
+            kinds.setdefault(clip.kind, []).append(clip.name)
+        firsts = [present.name]
+        firsts += [names[len(names) // 2] for kind, names in kinds.items() if kind != present.kind]
+        return list(dict.fromkeys([*firsts, *self._clips]))
+
+    def snapshot(self) -> Snapshot:
+        """The present moment; its arrays are the viewer's own."""
+        with self._lock:
+            sim = self._sim
+            clip = self._placed
+            now = int(sim.frame[0] - sim.reference.start[0])
+            devices = device_poses(
+                clip.link_position[now],
+                clip.link_quat[now],
+                sensor_set(self._settings.sensors),
+                clip.height_m,
+            )
+            return Snapshot(
+                stage=self._stage,
+                step=self._step,
+                time_s=now / FPS,
+                duration_s=clip.duration,
+                position=sim.link_positions[0].copy(),
+                quat=sim.link_quats[0].copy(),
+                reference_position=clip.link_position[now],
+                reference_quat=clip.link_quat[now],
+                device_position=devices[0],
+                device_quat=devices[1],
+                contact_force=sim.contact_force[0].copy(),
+                qpos=sim.qpos[0, :_AVATAR].copy(),
+                reference_qpos=clip.qpos[now],
+                error_m=float(sim.error[0]) if now else 0.0,
+                push_n=sim.pusher.force[0].copy(),
+                thing=_pose(sim) if self._stage.parts else None,
+                outcome=self._outcome,
+                paused=self._paused,
+                note=self.note,
+            )
+
+    # -- what viewers ask for ----------------------------------------------------------------
+
+    def change(self, **settings: Any) -> Settings:
+        """Change some settings and begin the clip again, unless only the speed is changed.
+
+        Sensors that a new agent cannot use give way to its own.
+
+        Raises:
+            InputError: there is no such setting, or its value cannot be used.
+        """
+        with self._lock:
+            unknown = set(settings) - {field.name for field in fields(Settings)}
+            if unknown:
+                raise InputError("there is no such setting", ", ".join(sorted(unknown)))
+            wanted = replace(self._settings, **settings)
+            if wanted == self._settings:
+                return wanted
+            if wanted != replace(self._settings, speed=wanted.speed):
+                driver = self._driver(wanted.agent)
+                if "sensors" not in settings and wanted.sensors not in usable_sensors(driver):
+                    wanted = replace(wanted, sensors=driver.needs.sensors)
+            self._check(wanted)
+            if wanted != replace(self._settings, speed=wanted.speed):
+                self._sim = self._build(wanted)
+            self._settings = wanted
+            return wanted
+
+    def pause(self, paused: bool) -> None:
+        """Let time stand still or go on."""
+        with self._lock:
+            self._paused, self._one_step = bool(paused), False
+
+    def step_once(self) -> None:
+        """Pause, and let the next ``advance`` make one step."""
+        with self._lock:
+            self._paused, self._one_step = True, True
+
+    def restart(self) -> None:
+        """Begin the clip again."""
+        with self._lock:
+            self._begin(self._sim)
+
+    def push(self, force_n: float, direction_deg: float) -> None:
+        """Push the chest for 0.2 s: 0 degrees pushes the avatar forwards, 90 to its left.
+
+        Raises:
+            InputError: the force is not between 0 and 1000 N, or the direction no number.
+        """
+        force_n, direction_deg = _number(force_n, "push"), _number(direction_deg, "direction")
+        if not 0.0 <= force_n <= MAX_PUSH_N:
+            raise InputError(f"a push of {force_n:g} N is not within 0 and {MAX_PUSH_N:g} N")
+        with self._lock:
+            yaw = float(rot.heading(self._sim.link_quats[:1, 0])[0]) + np.radians(direction_deg)
+            force = force_n * np.array([np.cos(yaw), np.sin(yaw), 0.0])
+            self._sim.pusher.push(0, force, PUSH_S)
+
+    def replace_driver(self, name: str, driver: Driver, note: str = "") -> None:
+        """Put another driver in the place of one of the same name, at once where it drives now.
+
+        Raises:
+            InputError: it does not fit; the one before stays.
+        """
+        with self._lock:
+            before = self._drivers.get(name)
+            self._drivers[name] = driver
+            try:
+                if self._settings.agent == name:
+                    self._take_up(driver)
+            except InputError:
+                if before is not None:
+                    self._drivers[name] = before
+                raise
+            self.note = note
+
+    def _take_up(self, driver: Driver) -> None:
+        """Let a driver go on from now, or from the clip's start where it needs another world."""
+        settings = self._settings
+        if settings.sensors not in usable_sensors(driver):
+            settings = replace(settings, sensors=driver.needs.sensors)
+        if _config(driver, settings) == self._sim.config:
+            driver.bind(self._sim)
+            driver.reset()
+            return
+        self._sim = self._build(settings)
+        self._settings = settings
+
+    # -- the simulation ------------------------------------------------------------------------
+
+    def advance(self) -> bool:
+        """Go on by 1/36 s, unless paused; whether time went on."""
+        with self._lock:
+            if self._paused and not self._one_step:
+                return False
+            self._one_step = False
+            sim = self._sim
+            if self._outcome:
+                self._hold -= 1
+                if self._hold < 0:
+                    self._begin(sim)
+                    self._step += 1
+                    return True
+            self._drivers[self._settings.agent].advance(sim)
+            self._step += 1
+            self._judge(sim)
+            return True
+
+    def _judge(self, sim: BatchSim) -> None:
+        if self._outcome:
+            return
+        if sim.fell[0]:
+            self._outcome, self._hold = "fell", round(AFTER_FALL_S * FPS)
+        elif sim.ended[0]:
+            self._outcome, self._hold = "completed", round(AFTER_END_S * FPS)
+
+    def _begin(self, sim: BatchSim) -> None:
+        """The clip's first frame."""
+        sim.reset()
+        self._placed = sim.placed_clip(0, self._clips[self._settings.clip])
+        self._drivers[self._settings.agent].reset()
+        self._outcome, self._hold = "", 0
+
+    def _driver(self, name: str) -> Driver:
+        if name not in self._make_driver:
+            raise InputError(f"there is no agent {name!r}", fix=", ".join(self._make_driver))
+        if name not in self._drivers:
+            self._drivers[name] = self._make_driver[name]()
+        return self._drivers[name]
+
+    def _check(self, settings: Settings) -> None:
+        """Refuse what cannot be simulated.
+
+        Raises:
+            InputError: naming the setting.
+        """
+        if settings.clip not in self._clips:
+            raise InputError(f"there is no clip {settings.clip!r}")
+        usable = usable_sensors(self._driver(settings.agent))
+        if settings.sensors not in usable:
+            raise InputError(
+                f"{settings.agent} cannot use sensors {settings.sensors!r}",
+                fix=f"choose from {', '.join(usable)}",
+            )
+        height = _number(settings.height_m, "height")
+        if not MIN_HEIGHT_M <= height <= MAX_HEIGHT_M:
+            raise InputError(f"height {height:g} m is not within {MIN_HEIGHT_M}-{MAX_HEIGHT_M} m")
+        if settings.terrain not in GROUNDS:
+            known = ", ".join(GROUNDS)
+            raise InputError(
+                f"there is no terrain {settings.terrain!r}", fix=f"choose from {known}"
+            )
+        if settings.thing not in (NOTHING, *OBJECTS):
+            known = ", ".join(OBJECTS)
+            raise InputError(f"there is no object {settings.thing!r}", fix=f"choose from {known}")
+        roughness = _number(settings.roughness, "roughness")
+        if not ROUGHNESS[0] <= roughness <= ROUGHNESS[1]:
+            raise InputError(
+                f"roughness {roughness:g} is not within {ROUGHNESS[0]:g} and {ROUGHNESS[1]:g}"
+            )
+        if settings.speed not in SPEEDS:
+            raise InputError(f"speed {settings.speed!r} is not one of {SPEEDS}")
+
+    def _build(self, settings: Settings) -> BatchSim:
+        """A simulation of the settings, at the clip's first frame."""
+        self._check(settings)
+        driver = self._driver(settings.agent)
+        config = _config(driver, settings)
+        sim = BatchSim([self._clips[settings.clip]], config, 1, num_threads=1)
+        driver.bind(sim)
+        self._settings = settings
+        self._begin(sim)
+        field = sim.placement.field
+        ground = None if field is None else field.around(self._placed.qpos[:, :2], SEEN_M)
+        self._stage = Stage(
+            self._stage.number + 1,
+            float(settings.height_m),
+            ground,
+            _parts(sim) if settings.thing != NOTHING else (),
+        )
+        return sim
+
+
+def _config(driver: Driver, settings: Settings) -> EnvConfig:
+    """The environment of a session's settings."""
+    config = config_for(driver, settings.sensors, float(settings.height_m))
+    return replace(
+        config,
+        terrain=scaled_terrain(settings.terrain, settings.roughness),
+        objects=() if settings.thing == NOTHING else (WorldObject(settings.thing),),
+    )
+
+
+def _parts(sim: BatchSim) -> tuple[Part, ...]:
+    """The shapes that the session's object is made of."""
+    model = sim.body.model
+    body = model.body(_OBJECT)
+    first, count = int(body.geomadr[0]), int(body.geomnum[0])
+    return tuple(
+        Part(
+            "ball" if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE else "box",
+            tuple(model.geom_size[geom]),
+            tuple(model.geom_pos[geom]),
+        )
+        for geom in range(first, first + count)
+    )
+
+
+def _pose(sim: BatchSim) -> tuple[np.ndarray, np.ndarray]:
+    """Where the session's object is, and its orientation."""
+    pose = sim.qpos[0, _AVATAR : _AVATAR + 7].copy()
+    return pose[:3], pose[3:]
+
+
+def scaled_terrain(name: str, roughness: float) -> Terrain | None:
+    """The named terrain with its relief multiplied; None for flat ground."""
+    if name == "flat":
+        return None
+    terrain = TERRAINS[name]
+    return replace(
+        terrain,
+        amplitude_m=terrain.amplitude_m * roughness,
+        slope_deg=terrain.slope_deg * roughness,
+        step_height_m=terrain.step_height_m * roughness,
+        gap_m=max(terrain.gap_m * roughness, RANGES["gap_m"][0]),
+    )
+
+
+def _number(value: Any, what: str) -> float:
+    """A finite number.
+
+    Raises:
+        InputError: it is none.
+    """
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = np.nan
+    if not np.isfinite(number):
+        raise InputError(f"{what} {value!r} is no number")
+    return number

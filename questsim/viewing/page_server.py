@@ -1,0 +1,146 @@
+"""The web server of a page: where it listens, and what it does not do.
+
+viser serves the page. By itself it takes another port when one is in use, can be asked by any
+viewer to publish the page through a server on the internet, and answers rubbish with a traceback.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import ipaddress
+import logging
+import os
+import socket
+import sys
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+
+import viser
+from viser import _messages as viser_messages
+
+from questsim.errors import InputError
+
+LOOPBACK = "127.0.0.1"
+DEFAULT_PORT = 8080
+
+
+def open_server(host: str, port: int, title: str) -> viser.ViserServer:
+    """A server that listens on that address and nowhere else.
+
+    Args:
+        host: an address or name of this machine.
+        port: 0 for any free one.
+        title: of the page.
+
+    Raises:
+        InputError: the port is in use or not allowed, or the host is not this machine's.
+    """
+    check_address(host, port)
+    _one_line_for_rubbish()
+    with _silence():
+        server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
+    if port and server.get_port() != port:  # taken since it was checked
+        close_server(server)
+        raise _in_use(port)
+    # Nothing that a viewer sends may open the page to the world.
+    for message in (viser_messages.ShareUrlRequest, viser_messages.ShareUrlDisconnect):
+        server._websock_server.unregister_handler(message)
+    return server
+
+
+def close_server(server: viser.ViserServer) -> None:
+    """Stop listening."""
+    with _silence():
+        server.stop()
+
+
+def check_address(host: str, port: int) -> None:
+    """Refuse an address at which no server can listen.
+
+    Raises:
+        InputError: saying why.
+    """
+    if not 0 <= port <= 65535:
+        raise InputError(f"{port} is not 0 to 65535", "--port")
+    try:
+        kind, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(kind) as probe:
+            if os.name == "posix":  # as the server itself does; elsewhere it means another thing
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+            probe.listen()
+    except socket.gaierror as error:
+        raise InputError(f"{host!r} is no address of this machine", "--host") from error
+    except PermissionError as error:
+        raise InputError(f"{port} is not allowed", "--port", "choose one above 1023") from error
+    except OSError as error:
+        if "address already in use" in str(error).lower():
+            raise _in_use(port) from error
+        raise InputError(f"cannot listen at {host} ({error.strerror})", "--host") from error
+
+
+def _in_use(port: int) -> InputError:
+    return InputError(f"{port} is in use", "--port", "choose another, or 0 for any free one")
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches a host's address."""
+    try:
+        return ipaddress.ip_address(socket.gethostbyname(host)).is_loopback
+    except (OSError, ValueError):
+        return False
+
+
+def address_of(server: viser.ViserServer) -> str:
+    """What to type into a browser on this machine."""
+    host = server.get_host()
+    shown = LOOPBACK if host in ("0.0.0.0", "::", "") else host
+    return f"http://{f'[{shown}]' if ':' in shown else shown}:{server.get_port()}"
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    """Without viser's own greetings."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        yield
+
+
+class _OneLine(logging.Filter):
+    """Makes one line of what the server logs about a viewer that it could not understand."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Always true: the record is shortened, not dropped."""
+        error = record.exc_info[1] if record.exc_info else None
+        if error is None or not _comes_from_viewer(error):
+            return True
+        reason = " ".join(str(error).split())[:100]
+        record.msg = f"a viewer sent what cannot be read: {type(error).__name__} {reason}".strip()
+        record.args, record.exc_info, record.exc_text = (), None, None
+        return True
+
+
+def _comes_from_viewer(error: BaseException) -> bool:
+    """Whether it was raised while a viewer's message was taken in."""
+    folders = {
+        Path(frame.filename).parts[-3:-1] for frame in traceback.extract_tb(error.__traceback__)
+    }
+    return any("viser" in folder or "websockets" in folder for folder in folders)
+
+
+def _one_line_for_rubbish() -> None:
+    for name in ("websockets.server", "asyncio"):
+        logger = logging.getLogger(name)
+        if not any(isinstance(f, _OneLine) for f in logger.filters):
+            logger.addFilter(_OneLine())
+
+
+def warn_if_open(host: str) -> None:
+    """Say on stderr that others can reach the page, if they can."""
+    if not is_loopback(host):
+        print(
+            f"warning: the page listens on {host}: everyone who reaches this machine can watch "
+            "and control it",
+            file=sys.stderr,
+        )
