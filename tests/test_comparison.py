@@ -73,6 +73,11 @@ def test_a_comparison_without_what_it_needs_is_refused(options, message, tmp_pat
     assert not (tmp_path / "there").exists()
 
 
+def test_an_evaluation_of_nobody_is_refused():
+    with pytest.raises(InputError, match="names no agent"):
+        evaluate(EvaluateArgs())
+
+
 def test_dragposer_is_compared_in_every_scenario_of_its_table(tmp_path):
     names = [s.name for s in scenarios(load_system(saved("dragposer", tmp_path / "drag")))]
     assert names[:5] == ["3 head+hands", "3 hip+hands", "4", "5 no left foot", "6"]

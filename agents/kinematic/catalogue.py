@@ -62,7 +62,7 @@ def catalogue() -> list[dict[str, Any]]:
             "sensors": ["6T"],
             "parameters": 0,
             "licence": OURS,
-            "weights": True,
+            "weights": False,
         }
     )
     return [*entries, *_policies()]
@@ -96,6 +96,8 @@ def list_agents(args: AgentsArgs) -> None:
         return
     for entry in entries:
         told = "shipped" if entry["weights"] else "not trained"
+        if not entry["parameters"]:
+            told = "needs none"
         print(
             f"{entry['agent']:12} {entry['preset']:6} {entry['parameters'] / 1e6:7.2f} M  "
             f"{told:11}  {entry['licence']:14} {', '.join(entry['sensors']):30} {entry['title']}"

@@ -33,7 +33,8 @@ _TASKS = (
 )
 POSTURE_COST = 0.02
 """Of each joint's angle against standing, beside the trackers' 5 or 10 a metre."""
-DAMPING = 1e-4
+DAMPING = 0.1
+"""Of every step: with less, arms near the limits of their hinges jump between solutions."""
 ITERATIONS, FIRST_ITERATIONS = 4, 60
 STEP_S = 0.1
 """Seconds of one step; gains of 1 reach the goal in one second."""
