@@ -49,7 +49,7 @@ MAY_DIFFER_ON_RESUME = {
     "teacher",
     "set",
     "start",
-    "agent",  # runs of before there were kinematic agents have none; the preset differs anyway
+    "agent",  # records from before there were kinematic agents lack it
 }
 
 

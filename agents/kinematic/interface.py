@@ -23,7 +23,6 @@ from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.joint_sensors import (
     SENSOR_FPS,
-    Mount,
     SensorFrame,
     SensorSequence,
     joint_poses,
@@ -32,7 +31,7 @@ from questsim.joint_sensors import (
 from questsim.motion.checks import stature_of
 from questsim.motion.motion import Motion
 from questsim.sensors import DEVICES, SENSOR_SETS
-from questsim.skeleton import JOINTS, NUM_JOINTS
+from questsim.skeleton import JOINT_PARENTS, NUM_JOINTS
 
 MAX_GAP_S = 0.5
 """Longer gaps in a stream are not bridged: the system begins anew."""
@@ -86,8 +85,6 @@ class Poses:
 
     def forward_kinematics(self) -> tuple[np.ndarray, np.ndarray]:
         """World positions ``(T, 22, 3)`` and orientations ``(T, 22, 4)``."""
-        from questsim.skeleton import JOINT_PARENTS
-
         positions = np.empty((len(self), NUM_JOINTS, 3))
         orientations = np.empty((len(self), NUM_JOINTS, 4))
         positions[:, 0], orientations[:, 0] = self.root_position, self.rotations[:, 0]
@@ -364,9 +361,3 @@ def _still(devices: int) -> SensorFrame:
     quat[:, 0] = 1.0
     zero = np.zeros((devices, 3))
     return SensorFrame(0.0, (), zero, quat, zero, np.zeros(devices, bool))
-
-
-__all__ = [
-    "JOINTS", "MAX_GAP_S", "Body", "KinematicSystem", "Mount", "Poses", "Signals", "between",
-    "check_frame", "device_names",
-]  # fmt: skip

@@ -10,7 +10,6 @@ from torch import nn
 
 from agents.kinematic import drag_training, dragposer, recurrent, sparse_training, sparseposer
 from agents.kinematic.drag_solver import DragPoser
-from agents.kinematic.features import DEVICES
 from agents.kinematic.hmdposer import HmdPoserSpec
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.learning import Config, Learning, TaskMaker
@@ -207,6 +206,3 @@ AGENTS: dict[str, Entry] = {
         _drag,
     ),
 }
-
-assert all(set(e.presets) == {"paper", "cpu", "smoke"} for e in AGENTS.values())
-__all__ = ["AGENTS", "DEVICES", "Entry"]
