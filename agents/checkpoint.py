@@ -9,6 +9,8 @@ for which observation, joints, links and body it is. Neither can run code when l
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -56,18 +58,25 @@ def save_policy(
         training: what to record: data, licence, steps, figures.
         resume: state for going on, of tensors, arrays, numbers, text, lists and dictionaries.
     """
+    state = {name: tensor.detach().contiguous() for name, tensor in policy.state_dict().items()}
+    critic = {name: state.pop(name) for name in list(state) if name.startswith(CRITIC)}
+    card = describe(policy, needs) | {"training": training}
+    with whole_folder(folder) as fresh:
+        (fresh / WEIGHTS_FILE).write_bytes(save(state))
+        if critic:
+            (fresh / CRITIC_FILE).write_bytes(save(critic))
+        (fresh / CARD_FILE).write_text(yaml.safe_dump(card, sort_keys=False), encoding="utf-8")
+        if resume is not None:
+            torch.save(pack(resume), fresh / RESUME_FILE)
+
+
+@contextmanager
+def whole_folder(folder: Path) -> Iterator[Path]:
+    """A folder beside ``folder`` that takes its place when the block is done, and not before."""
     fresh = folder.with_name(folder.name + ".new")
     shutil.rmtree(fresh, ignore_errors=True)
     fresh.mkdir(parents=True)
-    state = {name: tensor.detach().contiguous() for name, tensor in policy.state_dict().items()}
-    critic = {name: state.pop(name) for name in list(state) if name.startswith(CRITIC)}
-    (fresh / WEIGHTS_FILE).write_bytes(save(state))
-    if critic:
-        (fresh / CRITIC_FILE).write_bytes(save(critic))
-    card = describe(policy, needs) | {"training": training}
-    (fresh / CARD_FILE).write_text(yaml.safe_dump(card, sort_keys=False), encoding="utf-8")
-    if resume is not None:
-        torch.save(pack(resume), fresh / RESUME_FILE)
+    yield fresh
     old = folder.with_name(folder.name + ".old")
     shutil.rmtree(old, ignore_errors=True)
     if folder.exists():

@@ -59,6 +59,10 @@ class EvaluateArgs:
     """Threads of physics and networks."""
     seed: int = 0
     """Of the embedded motions."""
+    compare: bool = False
+    """Compare kinematic systems (--agents) instead, on the same frames."""
+    agents: tuple[str, ...] = ()
+    """With --compare: systems, each a name (ik), checkpoint folder or run folder."""
 
 
 def evaluate(args: EvaluateArgs) -> int:
@@ -69,6 +73,12 @@ def evaluate(args: EvaluateArgs) -> int:
     """
     from questsim.motion.spec import load_motions
 
+    if args.compare:
+        from agents.comparison import compare
+
+        return compare(args.agents, args.motions, args.out, args.max_clips, args.threads, args.seed)
+    if not args.agent:
+        raise InputError("names no agent", "--agent", "give a policy, or --compare --agents ...")
     at_least(1, threads=args.threads, max_clips=args.max_clips)
     at_least(0, seed=args.seed)
     if args.video and args.out is None:

@@ -127,12 +127,18 @@ class Display:
         tracked: float,
     ) -> None:
         """Redraw: share of the budget used, steps and steps/s, seconds left, clips tracked."""
-        left = f"{int(left_s // 60)}:{int(left_s % 60):02d} left" if np.isfinite(left_s) else ""
         text = (
             f"{steps / 1e6:.2f} M steps  {rate / 1e3:.1f} k/s  reward {reward:.3f}  "
-            f"tracked {100 * tracked:.0f} %  {left}"
+            f"tracked {100 * tracked:.0f} %"
         )
-        self._bar.update(self._task, description=stage, completed=min(progress, 1.0), text=text)
+        self.show(stage, progress, text, left_s)
+
+    def show(self, stage: str, progress: float, text: str, left_s: float) -> None:
+        """Redraw with any text: share of the budget used, seconds left."""
+        left = f"{int(left_s // 60)}:{int(left_s % 60):02d} left" if np.isfinite(left_s) else ""
+        self._bar.update(
+            self._task, description=stage, completed=min(progress, 1.0), text=f"{text}  {left}"
+        )
 
     def say(self, line: str) -> None:
         """Print a line above the bar."""

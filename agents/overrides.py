@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 
-from agents.presets import Preset
 from questsim.errors import InputError
 
 WHERE = "--set"
+
+Preset = TypeVar("Preset")
 
 
 def with_overrides(preset: Preset, assignments: Sequence[str]) -> Preset:

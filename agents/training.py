@@ -50,15 +50,18 @@ MAY_DIFFER_ON_RESUME = {
     "teacher",
     "set",
     "start",
+    "agent",  # records from before there were kinematic agents lack it
 }
 
 
 @dataclass(frozen=True)
 class TrainArgs:
-    """Train a policy that drives the avatar by torques."""
+    """Train a policy that drives the avatar by torques, or a kinematic system."""
 
     out: Path
     """Folder of the run: record, checkpoints, TensorBoard logs."""
+    agent: Literal["policy", "sparseposer", "dragposer", "hmdposer", "lgsik"] = "policy"
+    """A torque policy, or a kinematic system (docs/agents.md)."""
     motions: str = "synthetic"
     """What to learn: synthetic, a dataset (bandai-namco-2:train), a library, file or folder."""
     preset: Literal["cpu", "paper", "smoke"] = "cpu"
@@ -105,6 +108,10 @@ def train(args: TrainArgs) -> int:
     Raises:
         InputError: for options, motions or a run folder that cannot be used.
     """
+    if args.agent != "policy":
+        from agents.kinematic.training import train_kinematic
+
+        return train_kinematic(args)
     at_least(1, threads=args.threads, envs=args.envs, steps=args.steps)
     at_least(0, minutes=args.minutes, seed=args.seed)
     preset = with_overrides(PRESETS[args.preset], args.set)

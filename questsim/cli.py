@@ -72,6 +72,10 @@ COMMANDS: dict[str, Command] = {
         "agents.export", "export", "ExportArgs",
         "write a policy as an ONNX graph from simulator state to torques",
     ),
+    "agents": Command(
+        "agents.kinematic.catalogue", "list_agents", "AgentsArgs",
+        "list every agent and preset: sensors, size, licence, weights",
+    ),
     "ship": Command(
         "agents.shipping", "ship", "ShipArgs",
         "copy a trained policy to the shipped ones, with a card",

@@ -1,0 +1,104 @@
+"""``questsim agents``: every agent and preset, what it reads, how large it is, what is shipped."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from agents.checkpoint import CARD_FILE as POLICY_CARD
+from agents.checkpoint import SHIPPED, read_card
+from agents.kinematic.ik import DEVICES as IK_DEVICES
+from agents.kinematic.registry import AGENTS
+from agents.kinematic.store import CARD_FILE, read_system_card
+from agents.licence import OURS, licence_of
+
+KEYS = ("agent", "preset", "title", "sensors", "parameters", "licence", "weights")
+
+
+@dataclass(frozen=True)
+class AgentsArgs:
+    """List every agent and preset."""
+
+    json: bool = False
+    """As JSON, for programs."""
+
+
+def catalogue() -> list[dict[str, Any]]:
+    """One entry an agent and preset, with ``KEYS``.
+
+    ``parameters`` are those that training changes; ``licence`` is that of the weights, or of the
+    code where there are none; ``weights`` says whether they are shipped.
+    """
+    shipped = [
+        (folder.parent, read_system_card(folder.parent))
+        for folder in sorted(SHIPPED.glob(f"*/{CARD_FILE}"))
+    ]
+    entries = []
+    for name, agent in AGENTS.items():
+        for preset, config in agent.presets.items():
+            there = [
+                card
+                for _, card in shipped
+                if card["agent"] == name and card["training"].get("preset") == preset
+            ]
+            module = agent.build(config.spec)
+            entries.append(
+                {
+                    "agent": name,
+                    "preset": preset,
+                    "title": agent.title,
+                    "sensors": list(agent.sensors),
+                    "parameters": sum(p.numel() for p in module.parameters()),
+                    "licence": licence_of(there[0]["training"]) if there else OURS,
+                    "weights": bool(there),
+                }
+            )
+    entries.append(
+        {
+            "agent": "ik",
+            "preset": "-",
+            "title": f"inverse kinematics (mink) of {len(IK_DEVICES)} trackers",
+            "sensors": ["6T"],
+            "parameters": 0,
+            "licence": OURS,
+            "weights": False,
+        }
+    )
+    return [*entries, *_policies()]
+
+
+def _policies() -> list[dict[str, Any]]:
+    from agents.checkpoint import load_policy
+
+    entries = []
+    for path in sorted(SHIPPED.glob(f"*/{POLICY_CARD}")):
+        card, policy = read_card(path.parent), load_policy(path.parent).policy
+        entries.append(
+            {
+                "agent": path.parent.name,
+                "preset": card["training"].get("preset", "-"),
+                "title": "torque policy",
+                "sensors": [card["needs"]["sensors"]],
+                "parameters": sum(p.numel() for p in policy.parameters()),
+                "licence": licence_of(card["training"]),
+                "weights": True,
+            }
+        )
+    return entries
+
+
+def list_agents(args: AgentsArgs) -> None:
+    """Print the catalogue, as a table or as JSON."""
+    entries = catalogue()
+    if args.json:
+        print(json.dumps(entries, indent=1))
+        return
+    for entry in entries:
+        told = "shipped" if entry["weights"] else "not trained"
+        if not entry["parameters"]:
+            told = "needs none"
+        print(
+            f"{entry['agent']:12} {entry['preset']:6} {entry['parameters'] / 1e6:7.2f} M  "
+            f"{told:11}  {entry['licence']:14} {', '.join(entry['sensors']):30} {entry['title']}"
+        )

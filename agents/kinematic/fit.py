@@ -1,0 +1,187 @@
+"""One stage of a kinematic system's training: gradient steps, evaluations and checkpoints."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.logger import configure
+from torch import nn
+
+from agents.checkpoint import load_resume
+from agents.kinematic.learning import Learning, Task
+from agents.monitor import Display
+from agents.stage import Budget, Stopper
+from questsim.errors import InputError
+
+LOG_EVERY = 20
+
+
+@dataclass
+class Fit:
+    """A module, the task of a stage, and where its checkpoints go.
+
+    Attributes:
+        name: of the stage.
+        module: all networks of the system; the task says which are trained.
+        task: batches, loss and validation.
+        learning: optimiser and intervals.
+        folder: gets ``last/``, ``best/`` and ``tensorboard/``.
+        budget: how long; its steps are gradient steps.
+        save: writes a checkpoint folder, with the card's training and, for going on, a state.
+        record: what to note in the checkpoint beside steps and figures.
+        seed: of everything that is random.
+    """
+
+    name: str
+    module: nn.Module
+    task: Task
+    learning: Learning
+    folder: Path
+    budget: Budget
+    save: Callable[[Path, dict[str, Any], dict[str, Any] | None], None]
+    record: dict[str, Any]
+    seed: int
+    steps: int = 0
+    best_cm: float = math.inf
+    history: list[dict[str, float]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        kind = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}[self.learning.optimiser]
+        self._optimiser = kind(self.task.trained, lr=self.learning.learning_rate)
+        self._rng = np.random.default_rng(self.seed)
+
+    def resume(self) -> None:
+        """Go on from the last checkpoint: steps, networks, optimiser and random states."""
+        state = load_resume(self.folder / "last")
+        self.module.load_state_dict(state["module"])
+        self._optimiser.load_state_dict(_int_keys(state["optimiser"]))
+        self._rng.bit_generator.state = _rng_state(state["random"])
+        torch.set_rng_state(state["torch_random"])
+        self.steps, self.budget.spent = state["steps"], state["seconds"]
+        self.best_cm, self.history = state["best_cm"], state["history"]
+
+    def run(self, display: Display, stopper: Stopper) -> None:
+        """Train until the budget is used or a stop is requested.
+
+        Raises:
+            InputError: a loss is not finite; the last checkpoint is kept.
+        """
+        budget = self.budget
+        if budget.progress(self.steps) >= 1 and self._is_evaluated():
+            return
+        logger = configure(str(self.folder / "tensorboard"), ["tensorboard"])
+        if not self.history:
+            self._evaluate(logger, display)
+        began, count = time.perf_counter(), 0
+        while not stopper.requested and budget.progress(self.steps) < 1:
+            figures = self._step(budget.progress(self.steps))
+            count += 1
+            if self.steps % LOG_EVERY == 0:
+                rate = count / max(time.perf_counter() - began, 1e-9)
+                self._log(logger, figures | {"time/steps_per_second": rate}, "training")
+                self._show(display, figures, rate)
+            if self.steps % self.learning.evaluate_every == 0:
+                self._evaluate(logger, display)
+                self._save_last()
+        if not stopper.requested and not self._is_evaluated():
+            self._evaluate(logger, display)
+        self._save_last()
+        logger.close()
+
+    def _step(self, progress: float) -> dict[str, float]:
+        learning = self.learning
+        self.module.train()
+        share = 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
+        rate = learning.final_rate + (1 - learning.final_rate) * share
+        for group in self._optimiser.param_groups:
+            group["lr"] = learning.learning_rate * rate
+        self._optimiser.zero_grad(set_to_none=True)
+        loss, figures = self.task.loss(self.task.draw(self._rng))
+        if not bool(torch.isfinite(loss)):
+            raise InputError(
+                f"loss is not finite at step {self.steps}", self.name, "lower learning_rate"
+            )
+        loss.backward()
+        if learning.clip is not None:
+            nn.utils.clip_grad_norm_(self.task.trained, learning.clip)
+        self._optimiser.step()
+        self.steps += 1
+        return {"loss": float(loss.detach()), **figures}
+
+    def _is_evaluated(self) -> bool:
+        return bool(self.history) and self.history[-1]["steps"] == self.steps
+
+    def _evaluate(self, logger: Any, display: Display) -> None:
+        self.module.eval()
+        with torch.no_grad():
+            figures = {name: round(value, 6) for name, value in self.task.validate().items()}
+        self._log(logger, figures, "evaluation")
+        minutes = round(self.budget.elapsed / 60, 2)
+        self.history.append({"steps": self.steps, "minutes": minutes, **figures})
+        better = figures["error_cm"] < self.best_cm
+        if better:
+            self.best_cm = figures["error_cm"]
+            self.save(self.folder / "best", self._card(), None)
+        display.say(
+            f"{self.name}: {self.steps} steps, {minutes:.1f} min: error "
+            f"{figures['error_cm']:.2f} cm" + (" (best)" if better else "")
+        )
+
+    @staticmethod
+    def _not_prefixed(name: str, prefix: str) -> str:
+        return name if "/" in name else f"{prefix}/{name}"
+
+    def _log(self, logger: Any, figures: dict[str, float], prefix: str) -> None:
+        for name, value in figures.items():
+            logger.record(self._not_prefixed(name, prefix), value)
+        logger.dump(self.steps)
+
+    def _show(self, display: Display, figures: dict[str, float], rate: float) -> None:
+        text = (
+            f"{self.steps} steps  {rate:.1f}/s  loss {figures['loss']:.4f}  "
+            f"error {self.history[-1]['error_cm']:.2f} cm"
+        )
+        budget = self.budget
+        display.show(self.name, budget.progress(self.steps), text, budget.left(self.steps))
+
+    def _card(self) -> dict[str, Any]:
+        return self.record | {
+            "stage": self.name,
+            "steps": self.steps,
+            "minutes": round(self.budget.elapsed / 60, 2),
+            "evaluation": self.history[-1] if self.history else {},
+        }
+
+    def _save_last(self) -> None:
+        state = {
+            "module": self.module.state_dict(),
+            "optimiser": self._optimiser.state_dict(),
+            "random": _plain_rng(self._rng),
+            "torch_random": torch.get_rng_state(),
+            "steps": self.steps,
+            "seconds": self.budget.elapsed,
+            "best_cm": self.best_cm,
+            "history": self.history,
+        }
+        self.save(self.folder / "last", self._card(), state)
+
+
+def _plain_rng(rng: np.random.Generator) -> dict[str, Any]:
+    """PCG64's state with its two long numbers as text, which every file format can hold."""
+    state = rng.bit_generator.state
+    return {**state, "state": {key: str(value) for key, value in state["state"].items()}}
+
+
+def _rng_state(plain: dict[str, Any]) -> dict[str, Any]:
+    return {**plain, "state": {key: int(value) for key, value in plain["state"].items()}}
+
+
+def _int_keys(state: dict[str, Any]) -> dict[str, Any]:
+    return {**state, "state": {int(key): value for key, value in state["state"].items()}}

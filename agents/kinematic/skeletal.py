@@ -1,0 +1,183 @@
+"""Layers that know the skeleton: features of joints, masked to neighbours, pooled along bones.
+
+Source: Aberman et al., "Skeleton-Aware Networks for Deep Motion Retargeting", SIGGRAPH 2020, as
+SparsePoser and DragPoser use them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from questsim.skeleton import JOINT_PARENTS
+
+REACH = 2
+"""A joint's features depend on joints at most this many bones away."""
+
+
+@dataclass(frozen=True)
+class Pooling:
+    """One step from a skeleton to one of fewer joints.
+
+    Attributes:
+        merged: for each kept joint, itself and the collapsed joints next to it.
+        parents: of the kept joints, by their new numbers.
+        joints: how many there were.
+    """
+
+    merged: tuple[tuple[int, ...], ...]
+    parents: tuple[int, ...]
+    joints: int
+
+
+def pooling(parents: Sequence[int]) -> Pooling:
+    """Collapse every second joint along the chains: of degree above 1, below one that stays.
+
+    The root stays; leaves stay.
+    """
+    count = len(parents)
+    neighbours: list[set[int]] = [set() for _ in range(count)]
+    for joint in range(1, count):
+        neighbours[joint].add(parents[joint])
+        neighbours[parents[joint]].add(joint)
+    collapsed: set[int] = set()
+    for joint in range(1, count):
+        if len(neighbours[joint]) > 1 and parents[joint] not in collapsed:
+            collapsed.add(joint)
+    kept = [joint for joint in range(count) if joint not in collapsed]
+    merged = tuple((joint, *sorted(neighbours[joint] & collapsed)) for joint in kept)
+
+    def kept_ancestor(joint: int) -> int:
+        while True:
+            joint = parents[joint]
+            if joint not in collapsed:
+                return kept.index(joint)
+
+    return Pooling(merged, tuple(kept_ancestor(joint) for joint in kept), count)
+
+
+def _levels() -> tuple[tuple[tuple[int, ...], ...], tuple[Pooling, ...]]:
+    parents: list[tuple[int, ...]] = [tuple(JOINT_PARENTS)]
+    steps = []
+    for _ in range(3):
+        steps.append(pooling(parents[-1]))
+        parents.append(steps[-1].parents)
+    return tuple(parents), tuple(steps)
+
+
+PARENTS, POOLINGS = _levels()
+"""Parents of the skeletons of 22, 14, 9 and 6 joints, and the three steps between them."""
+SIZES: tuple[int, ...] = tuple(len(parents) for parents in PARENTS)
+
+
+def pool_matrix(step: Pooling) -> Tensor:
+    """``(kept, joints)`` means over what is merged."""
+    matrix = torch.zeros(len(step.merged), step.joints)
+    for new, olds in enumerate(step.merged):
+        matrix[new, list(olds)] = 1.0 / len(olds)
+    return matrix
+
+
+def unpool_matrix(step: Pooling, displacement: str = "") -> Tensor:
+    """``(joints, kept)``: each joint takes the mean of the kept joints it was merged into.
+
+    Args:
+        step: the pooling to undo.
+        displacement: an extra slot at the end for the root's displacement: ``"in"`` has one before
+            that all joints take in; ``"out"`` makes one afterwards from the root; ``"both"`` hands
+            it on.
+    """
+    matrix = (pool_matrix(step) > 0).float().T
+    joints, kept = matrix.shape
+    if displacement in ("in", "both"):
+        column = torch.ones(joints, 1) if displacement == "in" else torch.zeros(joints, 1)
+        matrix = torch.cat([matrix, column], dim=1)
+    if displacement == "out":
+        matrix = torch.cat([matrix, torch.eye(kept)[:1]], dim=0)
+    if displacement == "both":
+        matrix = torch.cat([matrix, torch.eye(kept + 1)[-1:]], dim=0)
+    return matrix / matrix.sum(dim=1, keepdim=True)
+
+
+def neighbour_mask(parents: Sequence[int], displacement: bool = False) -> Tensor:
+    """``(J, J)`` ones where two joints are at most ``REACH`` bones apart.
+
+    Args:
+        parents: of the skeleton.
+        displacement: add a slot at the end that neighbours what the root neighbours.
+    """
+    count = len(parents)
+    apart = torch.full((count, count), 99.0)
+    for joint in range(count):
+        apart[joint, joint] = 0.0
+        if joint:
+            apart[joint, parents[joint]] = apart[parents[joint], joint] = 1.0
+    for k in range(count):
+        apart = torch.minimum(apart, apart[:, k : k + 1] + apart[k : k + 1])
+    mask = (apart <= REACH).float()
+    if displacement:
+        near = torch.cat([mask[0], torch.ones(1)])
+        mask = torch.cat([torch.cat([mask, near[:-1, None]], dim=1), near[None]], dim=0)
+    return mask
+
+
+class MaskedLinear(nn.Module):
+    """A linear layer between groups of features, of which only some reach each other.
+
+    Args:
+        mask: ``(groups out, groups in)`` of zeros and ones.
+        size_in, size_out: features of a group.
+    """
+
+    def __init__(self, mask: Tensor, size_in: int, size_out: int) -> None:
+        super().__init__()
+        wide = torch.kron(mask, torch.ones(size_out, size_in))
+        self.register_buffer("mask", wide, persistent=False)
+        bound = wide.sum(1, keepdim=True).clamp_min(1.0).rsqrt()
+        self.weight = nn.Parameter(torch.empty_like(wide).uniform_(-1.0, 1.0) * bound * wide)
+        self.bias = nn.Parameter(torch.empty(len(wide)).uniform_(-1.0, 1.0) * bound[:, 0])
+
+    def forward(self, x: Tensor) -> Tensor:
+        """``(..., groups in * size_in)`` to ``(..., groups out * size_out)``."""
+        assert isinstance(self.mask, Tensor)
+        return nn.functional.linear(x, self.weight * self.mask, self.bias)
+
+
+class MaskedConv(nn.Module):
+    """A convolution over time of joints' features, of which only neighbours reach each other.
+
+    Reflects the signal at both ends, so that a stride of 1 keeps its length.
+
+    Args:
+        mask: ``(joints, joints)`` of zeros and ones.
+        size_in, size_out: channels of a joint.
+        kernel: frames; odd.
+        stride: frames.
+    """
+
+    def __init__(
+        self, mask: Tensor, size_in: int, size_out: int, kernel: int, stride: int = 1
+    ) -> None:
+        super().__init__()
+        self.stride, self.padding = stride, kernel // 2
+        wide = torch.kron(mask, torch.ones(size_out, size_in))
+        self.register_buffer("mask", wide[..., None], persistent=False)
+        bound = (wide.sum(1, keepdim=True) * kernel).clamp_min(1.0).rsqrt()
+        weight = torch.empty(*wide.shape, kernel).uniform_(-1.0, 1.0)
+        self.weight = nn.Parameter(weight * (bound * wide)[..., None])
+        self.bias = nn.Parameter(torch.empty(len(wide)).uniform_(-1.0, 1.0) * bound[:, 0])
+
+    def forward(self, x: Tensor) -> Tensor:
+        """``(B, joints * size_in, T)`` to ``(B, joints * size_out, T / stride)``."""
+        assert isinstance(self.mask, Tensor)
+        padded = nn.functional.pad(x, (self.padding, self.padding), mode="reflect")
+        return nn.functional.conv1d(padded, self.weight * self.mask, self.bias, self.stride)
+
+
+def spread(matrix: Tensor, x: Tensor, channels: int) -> Tensor:
+    """Pool or unpool features ``(B, joints * channels, ...)`` by a matrix of joints."""
+    joints = x.unflatten(1, (matrix.shape[1], channels))
+    return torch.einsum("ij,bj...->bi...", matrix, joints).flatten(1, 2)

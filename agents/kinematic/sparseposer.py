@@ -1,0 +1,355 @@
+"""SparsePoser: a skeleton-aware autoencoder from six trackers to the whole pose, then learned IK.
+
+Source: Ponton, Yun et al., "SparsePoser: Real-time Full-body Motion Reconstruction from Sparse
+Data", ACM TOG 43(1), 2023. The `paper` preset has the parameters of the released code. Of these
+132,496 lie idle there, meant for static features in the dynamic encoder; here they take in the
+deepest static feature, which the released decoder does not use either. Different as well: a window
+is seen from the heading of its last frame, learned IK answers corrections of the generator's limbs,
+and the orientations that the trackers on pelvis, head and hands measure are passed on as they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from agents.kinematic.interface import Body, KinematicSystem, Poses, Signals
+from agents.kinematic.skeletal import (
+    PARENTS,
+    POOLINGS,
+    SIZES,
+    MaskedConv,
+    MaskedLinear,
+    neighbour_mask,
+    pool_matrix,
+    spread,
+    unpool_matrix,
+)
+from questsim import differentiable as diff
+from questsim import rotations as rot
+from questsim.errors import InputError
+from questsim.skeleton import JOINTS, NUM_JOINTS
+
+WINDOW = 64
+MAX_FUTURE = 7
+DEVICES: tuple[str, ...] = (
+    "pelvis_tracker", "left_toe_tracker", "right_toe_tracker",
+    "headset", "left_controller", "right_controller",
+)  # fmt: skip
+ENDS: tuple[int, ...] = tuple(
+    JOINTS.index(n) for n in ("root", "left_toe", "right_toe", "head", "left_wrist", "right_wrist")
+)
+"""The joints whose positions the devices tell ..."""
+TURNED: tuple[int, ...] = tuple(
+    JOINTS.index(n)
+    for n in ("root", "left_ankle", "right_ankle", "head", "left_wrist", "right_wrist")
+)
+"""... and those whose orientations: a tracker on the toes turns with the foot."""
+PASSED_ON = (3, 4, 5)
+"""Head and hands among these take the measured orientation, as the root does."""
+
+STATIC = (3, 6, 12, 24)
+"""Channels a joint of the static features at each level of the skeleton."""
+
+
+@dataclass(frozen=True)
+class SparsePoserSpec:
+    """Sizes of the networks.
+
+    Attributes:
+        channels: of a joint: input, then after each convolution.
+        kernel: frames of a convolution.
+        ik_hidden: units of both hidden layers of a limb's IK.
+    """
+
+    channels: tuple[int, int, int, int] = (8, 16, 32, 64)
+    kernel: int = 15
+    ik_hidden: int = 128
+
+
+@dataclass(frozen=True)
+class Limb:
+    """A chain that learned IK corrects.
+
+    Attributes:
+        joints: its first three joints, whose dual quaternions are answered.
+        end: index of its end among ``ENDS``.
+        chain: the joints read: from the third one up to the root.
+    """
+
+    joints: tuple[int, int, int]
+    end: int
+    chain: tuple[int, ...]
+
+
+def _limb(names: str, end: int) -> Limb:
+    joints = [JOINTS.index(name) for name in names.split()]
+    chain = [joints[-1]]
+    while chain[-1]:
+        chain.append(PARENTS[0][chain[-1]])
+    return Limb((joints[0], joints[1], joints[2]), end, tuple(chain))
+
+
+LIMBS: dict[str, Limb] = {
+    "left_leg": _limb("left_hip left_knee left_ankle", 1),
+    "right_leg": _limb("right_hip right_knee right_ankle", 2),
+    "left_arm": _limb("left_clavicle left_shoulder left_elbow", 4),
+    "right_arm": _limb("right_clavicle right_shoulder right_elbow", 5),
+}
+
+
+class Generator(nn.Module):
+    """Static and dynamic encoder, and the decoder.
+
+    Args:
+        spec: sizes.
+    """
+
+    def __init__(self, spec: SparsePoserSpec) -> None:
+        super().__init__()
+        self.spec = spec
+        c, slots = spec.channels, SIZES[3] + 1
+        self.static = nn.ModuleList(
+            [
+                MaskedLinear(neighbour_mask(PARENTS[level]), STATIC[level], STATIC[level + 1])
+                for level in range(3)
+            ]
+        )
+        everything = torch.ones(slots, slots)
+        self.encoder = nn.ModuleList(
+            [MaskedConv(everything, c[i], c[i + 1], spec.kernel, stride=2) for i in range(3)]
+        )
+        self.encoder_static = nn.ModuleList(
+            [MaskedLinear(everything, STATIC[3], c[i + 1]) for i in range(3)]
+        )
+        self.decoder, self.decoder_static = nn.ModuleList(), nn.ModuleList()
+        for level in (2, 1, 0):
+            mask = neighbour_mask(PARENTS[level])
+            self.decoder.append(MaskedConv(mask, c[level + 1], c[level], spec.kernel))
+            self.decoder_static.append(MaskedLinear(mask, STATIC[level], c[level]))
+            unpool = unpool_matrix(POOLINGS[level], "in" if level == 2 else "")
+            self.register_buffer(f"unpool_{level}", unpool, persistent=False)
+            self.register_buffer(f"pool_{level}", pool_matrix(POOLINGS[level]), persistent=False)
+
+    def _static(self, offsets: Tensor) -> tuple[list[Tensor], Tensor]:
+        """Features of the offsets at 22, 14 and 9 joints, and of 6 joints and an empty slot."""
+        told, x = [offsets], offsets
+        for level, layer in enumerate(self.static):
+            x = spread(getattr(self, f"pool_{level}"), layer(x), STATIC[level + 1])
+            x = nn.functional.leaky_relu(x, 0.2)
+            told.append(x)
+        return told[:3], nn.functional.pad(told[3], (0, STATIC[3]))
+
+    def forward(self, sparse: Tensor, offsets: Tensor) -> Tensor:
+        """Normalised dual quaternions ``(B, 176, T)``, not yet of unit length.
+
+        Args:
+            sparse: ``(B, 56, T)`` with T a multiple of 8.
+            offsets: ``(B, 66)`` normalised.
+        """
+        told, deepest = self._static(offsets)
+        x = sparse
+        for conv, static in zip(self.encoder, self.encoder_static, strict=True):
+            x = nn.functional.leaky_relu(conv(x) + static(deepest)[..., None], 0.2)
+        blocks = zip((2, 1, 0), self.decoder, self.decoder_static, strict=True)
+        for level, conv, static in blocks:
+            x = nn.functional.interpolate(x, scale_factor=2, mode="linear", align_corners=False)
+            x = spread(getattr(self, f"unpool_{level}"), x, self.spec.channels[level + 1])
+            x = conv(x) + static(told[level])[..., None]
+            if level:
+                x = nn.functional.leaky_relu(x, 0.2)
+        return x
+
+
+class SparsePoserModule(nn.Module):
+    """Generator, learned IK and the normalisers.
+
+    Args:
+        spec: sizes.
+    """
+
+    mean: Tensor
+    std: Tensor
+    offset_mean: Tensor
+    offset_std: Tensor
+    step_std: Tensor
+
+    def __init__(self, spec: SparsePoserSpec) -> None:
+        super().__init__()
+        self.generator = Generator(spec)
+        self.ik = nn.ModuleDict()
+        for name, limb in LIMBS.items():
+            width = 9 + 8 * len(limb.chain) + 8
+            last = nn.Linear(spec.ik_hidden, 24)
+            # It answers corrections, none at first.
+            nn.init.zeros_(last.weight)
+            nn.init.zeros_(last.bias)
+            self.ik[name] = nn.Sequential(
+                nn.Linear(width, spec.ik_hidden), nn.ReLU(),
+                nn.Linear(spec.ik_hidden, spec.ik_hidden), nn.ReLU(),
+                last,
+            )  # fmt: skip
+        for buffer, value in (
+            ("mean", torch.zeros(NUM_JOINTS, 8)),
+            ("std", torch.zeros(NUM_JOINTS, 8)),
+            ("offset_mean", torch.zeros(3)),
+            ("offset_std", torch.ones(3)),
+            ("step_std", torch.ones(())),
+        ):
+            self.register_buffer(buffer, value)
+
+    def normal_offsets(self, offsets: Tensor) -> Tensor:
+        """``(B, 22, 3)`` of offsets in metres."""
+        return (offsets - self.offset_mean) / self.offset_std
+
+    def sparse(self, position: Tensor, quat: Tensor) -> tuple[Tensor, Tensor]:
+        """What the generator reads of a window of trackers.
+
+        Args:
+            position: ``(B, T, 6, 3)`` world positions of the joints ``ENDS``.
+            quat: ``(B, T, 6, 4)`` world orientations of the joints ``TURNED``.
+
+        Returns:
+            channels ``(B, 56, T)``, and the normalised dual quaternions ``(B, T, 6, 8)`` alone.
+        """
+        dual = root_space(position, quat)
+        normal = (dual - self.mean[list(ENDS)]) / self.std[list(ENDS)]
+        step = torch.zeros_like(position[:, :, 0])
+        step[:, 1:] = position[:, 1:, 0] - position[:, :-1, 0]
+        back = window_heading(quat[:, :, 0]).transpose(-1, -2)
+        step = (back[:, None] @ step[..., None]).squeeze(-1) / self.step_std
+        step = nn.functional.pad(step, (0, 5))
+        return torch.cat([normal.flatten(2), step], dim=-1).transpose(1, 2), normal
+
+    def generate(self, sparse: Tensor, offsets: Tensor) -> Tensor:
+        """Unit dual quaternions ``(B, T, 22, 8)`` in root space; offsets normalised."""
+        out = self.generator(sparse, offsets.flatten(1)).transpose(1, 2)
+        return diff.unit_dual_quat(out.unflatten(-1, (NUM_JOINTS, 8)) * self.std + self.mean)
+
+    def normal(self, dual: Tensor) -> Tensor:
+        """Dual quaternions ``(..., 22, 8)`` less their mean, over their deviation."""
+        return (dual - self.mean) / self.std
+
+    def solve(self, dual: Tensor, ends: Tensor, offsets: Tensor) -> Tensor:
+        """Dual quaternions ``(B, T, 22, 8)`` with the limbs as learned IK has them.
+
+        Args:
+            dual: of the generator.
+            ends: ``(B, T, 6, 8)`` normalised, of the trackers.
+            offsets: ``(B, 22, 3)`` normalised.
+        """
+        told, parts = self.normal(dual), list(dual.unbind(-2))
+        for name, limb in LIMBS.items():
+            bones = offsets[:, [*limb.joints[1:], ENDS[limb.end]]].flatten(1)
+            seen = [
+                bones[:, None].expand(-1, dual.shape[1], -1),
+                told[..., list(limb.chain), :].flatten(2),
+                ends[..., limb.end, :],
+            ]
+            joints = list(limb.joints)
+            out = (
+                self.ik[name](torch.cat(seen, dim=-1)).unflatten(-1, (3, 8)) + told[..., joints, :]
+            )
+            out = diff.unit_dual_quat(out * self.std[joints] + self.mean[joints])
+            for joint, answer in zip(joints, out.unbind(-2), strict=True):
+                parts[joint] = answer
+        return torch.stack(parts, dim=-2)
+
+
+def window_heading(root: Tensor) -> Tensor:
+    """The turn about z ``(B, 3, 3)`` of the last frame of root orientations ``(B, T, 4)``."""
+    return diff.heading_matrix(diff.quat_to_matrix(root[:, -1]))
+
+
+def root_space(position: Tensor, quat: Tensor) -> Tensor:
+    """Dual quaternions ``(B, T, J, 8)`` seen from joint 0; its own is its rotation alone.
+
+    The root's rotation is seen from the heading of the window's last frame. Signs run on in time.
+
+    Args:
+        position: ``(B, T, J, 3)`` in the world.
+        quat: ``(B, T, J, 4)``.
+    """
+    root = quat[:, :, :1]
+    inverse = diff.quat_conjugate(root)
+    rotation = diff.quat_multiply(*torch.broadcast_tensors(inverse, quat))
+    place = diff.quat_rotate(inverse, position - position[:, :, :1])
+    heading = window_heading(quat[:, :, 0])
+    half = 0.5 * torch.atan2(heading[:, 1, 0], heading[:, 0, 0])
+    zero = torch.zeros_like(half)
+    back = torch.stack([half.cos(), zero, zero, -half.sin()], dim=-1)[:, None, None]
+    own = diff.quat_multiply(*torch.broadcast_tensors(back, root))
+    rotation = torch.cat([own, rotation[:, :, 1:]], dim=2)
+    return diff.continuous_signs(diff.dual_quat(rotation, place), dim=1)
+
+
+class SparsePoser(KinematicSystem):
+    """SparsePoser on a stream of six trackers.
+
+    Args:
+        module: trained.
+        name: for messages.
+        future_frames: later frames that a pose waits for, 0 to 7.
+        learned_ik: whether the limbs are corrected.
+    """
+
+    devices = DEVICES
+    required = DEVICES
+
+    def __init__(
+        self,
+        module: SparsePoserModule,
+        name: str = "sparseposer",
+        future_frames: int = 0,
+        learned_ik: bool = True,
+    ) -> None:
+        if not 0 <= future_frames <= MAX_FUTURE:
+            raise InputError(f"future_frames is {future_frames}, not 0 to {MAX_FUTURE}", name)
+        self.module, self.name = module, name
+        self.future_frames, self.learned_ik = future_frames, learned_ik
+        module.eval()
+
+    def _begin(self, body: Body) -> None:
+        assert self._names is not None
+        self._columns = [self._names.index(device) for device in DEVICES]
+        self._offsets = torch.as_tensor(body.offsets, dtype=torch.float32)[None]
+        self._normal_offsets = self.module.normal_offsets(self._offsets)
+        self._position: Tensor | None = None
+        self._quat: Tensor | None = None
+
+    def _remember(self, signals: Signals) -> tuple[Tensor, Tensor]:
+        """The last 64 frames of the trackers, the first one repeated where there are fewer."""
+        position, quat = signals.position[0, self._columns], signals.quat[0, self._columns]
+        feet = [1, 2]
+        toes = self._body.offsets[[ENDS[i] for i in feet]]
+        position[feet] += rot.quat_rotate(quat[feet], toes)
+        now = torch.as_tensor(position, dtype=torch.float32)[None]
+        turn = torch.as_tensor(quat, dtype=torch.float32)[None]
+        if self._position is None or self._quat is None:
+            self._position = now.expand(WINDOW, -1, -1)
+            self._quat = turn.expand(WINDOW, -1, -1)
+        self._position = torch.cat([self._position[1:], now])
+        self._quat = torch.cat([self._quat[1:], turn])
+        return self._position[None], self._quat[None]
+
+    @torch.no_grad()
+    def _next(self, signals: Signals) -> Poses:
+        position, quat = self._remember(signals)
+        at = WINDOW - 1 - self.future_frames
+        sparse, ends = self.module.sparse(position, quat)
+        dual = self.module.generate(sparse, self._normal_offsets)[:, at : at + 1]
+        if self.learned_ik:
+            dual = self.module.solve(dual, ends[:, at : at + 1], self._normal_offsets)
+        turned = dual[0, 0, :, :4].double().numpy()
+        measured = quat[0, at].double().numpy()
+        turned[0] = [1.0, 0.0, 0.0, 0.0]
+        for i in PASSED_ON:
+            turned[TURNED[i]] = rot.quat_multiply(rot.quat_conjugate(measured[0]), measured[i])
+        local = rot.quat_multiply(rot.quat_conjugate(turned[list(PARENTS[0])]), turned)
+        local[0] = measured[0]
+        local = local / np.linalg.norm(local, axis=-1, keepdims=True)
+        root = position[0, at, 0].double().numpy()
+        return Poses(root[None], local[None], self._body.offsets[None])

@@ -1,0 +1,168 @@
+"""Kinematic systems on disk: a folder with weights and a description, as policies have one.
+
+``system.safetensors`` holds networks and normalisers, ``system.yaml`` says of which agent, preset
+and sizes they are; neither can run code when loaded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
+from torch import nn
+
+from agents.checkpoint import RESUME_FILE, pack, whole_folder
+from agents.kinematic.interface import KinematicSystem
+from agents.kinematic.registry import AGENTS, Entry
+from questsim.errors import InputError
+from questsim.joint_sensors import SENSOR_FPS
+from questsim.skeleton import JOINTS
+
+FORMAT, FORMAT_VERSION = "questsim-kinematic", 1
+WEIGHTS_FILE, CARD_FILE = "system.safetensors", "system.yaml"
+SHIPPED = Path(__file__).parent.parent / "weights"
+UNTRAINED = ("ik",)
+"""Agents that are complete without weights."""
+
+
+def save_system(
+    folder: Path,
+    module: nn.Module,
+    agent: str,
+    spec: Any,
+    training: dict[str, Any],
+    resume: dict[str, Any] | None = None,
+) -> None:
+    """Write a checkpoint folder; an older one is replaced only when the new one is whole.
+
+    Args:
+        folder: where.
+        module: of the agent.
+        agent: its name in the registry.
+        spec: its sizes.
+        training: what to record; ``trained`` lists the stages that are done or under way.
+        resume: state for going on.
+    """
+    card = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "agent": agent,
+        "fps": SENSOR_FPS,
+        "joints": list(JOINTS),
+        "spec": _plain(asdict(spec)),
+        "training": training,
+    }
+    weights = {name: tensor.detach().contiguous() for name, tensor in module.state_dict().items()}
+    with whole_folder(folder) as fresh:
+        (fresh / WEIGHTS_FILE).write_bytes(save(weights))
+        (fresh / CARD_FILE).write_text(yaml.safe_dump(card, sort_keys=False), encoding="utf-8")
+        if resume is not None:
+            torch.save(pack(resume), fresh / RESUME_FILE)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def read_system_card(folder: Path) -> dict[str, Any]:
+    """The checked ``system.yaml`` of a folder.
+
+    Raises:
+        InputError: it is missing, no YAML, of another format version, of an unknown agent, or
+            made for other joints or another frame rate.
+    """
+    path = folder / CARD_FILE
+    try:
+        card = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"there is no {CARD_FILE}", folder) from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError("is no description of a system", path) from error
+    if not isinstance(card, dict) or card.get("format") != FORMAT:
+        raise InputError(f"is not of format {FORMAT!r}", path)
+    expected = {"format_version": FORMAT_VERSION, "fps": SENSOR_FPS, "joints": list(JOINTS)}
+    for field, value in expected.items():
+        if card.get(field) != value:
+            raise InputError(f"{field} is not {value!r}", path, "train it again")
+    if card.get("agent") not in AGENTS:
+        raise InputError(f"there is no agent {card.get('agent')!r}", path)
+    return card
+
+
+def load_module(folder: Path) -> tuple[nn.Module, dict[str, Any]]:
+    """Networks of a checkpoint folder, and its card.
+
+    Raises:
+        InputError: see ``read_system_card``; or weights that are damaged or do not fit.
+    """
+    card = read_system_card(folder)
+    entry = AGENTS[card["agent"]]
+    spec = _spec(entry, card, folder)
+    module = entry.build(spec)
+    try:
+        module.load_state_dict(load_file(folder / WEIGHTS_FILE))
+    except FileNotFoundError:
+        raise InputError(f"there is no {WEIGHTS_FILE}", folder) from None
+    except (SafetensorError, RuntimeError) as error:
+        reason = str(error).strip().splitlines()[-1].strip()
+        raise InputError(f"the weights do not fit ({reason})", folder / WEIGHTS_FILE) from error
+    for name, tensor in module.state_dict().items():
+        if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
+            raise InputError(f"{name} is not finite", folder / WEIGHTS_FILE)
+    return module, card
+
+
+def _spec(entry: Entry, card: dict[str, Any], folder: Path) -> Any:
+    kind = type(entry.presets["paper"].spec)
+    found = card.get("spec")
+    if not isinstance(found, dict) or set(found) != {field.name for field in fields(kind)}:
+        raise InputError("the sizes are incomplete", folder / CARD_FILE, "train it again")
+    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in found.items()})
+
+
+def find_system(path_or_name: str | Path) -> Path | None:
+    """The checkpoint folder that a path, run folder or shipped name means; None if there is none.
+
+    Of a run the last stage counts that has a result.
+    """
+    for path in (Path(path_or_name), SHIPPED / path_or_name):
+        if (path / CARD_FILE).exists():
+            return path
+        for entry in AGENTS.values():
+            for stage in reversed(entry.presets["cpu"].stages):
+                for part in ("best", "last"):
+                    if (path / stage / part / CARD_FILE).exists():
+                        return path / stage / part
+    return None
+
+
+def load_system(path_or_name: str | Path, **options: Any) -> KinematicSystem:
+    """A system by name (``ik`` or a shipped one), checkpoint folder or run folder.
+
+    Args:
+        path_or_name: what to load.
+        **options: of the system, e.g. ``future_frames`` of SparsePoser, ``iterations`` of
+            DragPoser.
+
+    Raises:
+        InputError: there is none, or its checkpoint cannot be used.
+    """
+    if str(path_or_name) in UNTRAINED:
+        from agents.kinematic.ik import InverseKinematics
+
+        return InverseKinematics(**options)
+    folder = find_system(path_or_name)
+    if folder is None:
+        raise InputError(
+            "is no kinematic system", path_or_name, f"train one, or use {', '.join(UNTRAINED)}"
+        )
+    module, card = load_module(folder)
+    entry = AGENTS[card["agent"]]
+    return entry.system(module, str(path_or_name), card["training"].get("trained", []), options)

@@ -1,0 +1,147 @@
+"""Training of kinematic systems from the command line: ``train.py --agent hmdposer``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import nn
+
+from agents.kinematic.data import MotionBank, motions_record
+from agents.kinematic.fit import Fit
+from agents.kinematic.learning import Config
+from agents.kinematic.registry import AGENTS
+from agents.kinematic.store import CARD_FILE, find_system, load_module, save_system
+from agents.monitor import Display
+from agents.overrides import with_overrides
+from agents.run_folder import (
+    RECORD,
+    check_same_run,
+    note_resume,
+    read_run,
+    refuse_existing,
+    start_run,
+)
+from agents.stage import Budget, Stopper
+from questsim.errors import InputError, at_least
+from questsim.motion.motion import Motion
+
+if TYPE_CHECKING:
+    from agents.training import TrainArgs
+
+INTERRUPTED = 130
+MAY_DIFFER_ON_RESUME = {"minutes", "steps", "resume", "threads", "out", "set"}
+NOT_OURS = (
+    "stage", "teacher", "start", "sensors", "future_frames", "heights", "mirrored", "hold_out",
+    "envs",
+)  # fmt: skip
+"""Options of the torque policies' training alone."""
+
+
+def train_kinematic(args: TrainArgs) -> int:
+    """Run a training of ``args.agent``; returns the exit code.
+
+    Raises:
+        InputError: for options, motions or a run folder that cannot be used.
+    """
+    from questsim.motion.spec import load_recordings
+
+    at_least(1, threads=args.threads, steps=args.steps)
+    at_least(0, minutes=args.minutes, seed=args.seed)
+    _refuse_foreign(args)
+    entry = AGENTS[args.agent]
+    config = with_overrides(entry.presets[args.preset], args.set)
+    if args.resume:
+        read_run(args.out)
+    else:
+        refuse_existing(args.out)
+    motions = load_recordings(args.motions, seed=args.seed)
+    data = motions_record(args.motions, motions)
+    if args.resume:
+        check_same_run(read_run(args.out), args, data, MAY_DIFFER_ON_RESUME, args.out)
+    torch.set_num_threads(args.threads)
+    torch.manual_seed(args.seed)
+    module = entry.build(config.spec)
+    stopper, banks, begun = Stopper(), {}, []
+
+    def begin() -> None:
+        # Not earlier: what a stage refuses leaves no run behind.
+        if not (args.out / RECORD).exists():
+            start_run(args.out, args, config, data)
+        elif not begun:
+            note_resume(args.out, args, config)
+        begun.append(True)
+
+    with Display() as display, stopper.listening():
+        for name in config.stages:
+            fit = _fit(name, args, config, module, motions, banks, data)
+            begin()
+            fit.run(display, stopper)
+            if stopper.requested:
+                display.say(f"stopped; go on with --resume --out {args.out}")
+                return INTERRUPTED
+            best = args.out / name / "best"
+            module.load_state_dict(load_module(best)[0].state_dict())
+        display.say(f"trained: {find_system(args.out)}")
+    return 0
+
+
+def _refuse_foreign(args: TrainArgs) -> None:
+    for field in fields(args):
+        if field.name in NOT_OURS and getattr(args, field.name) != field.default:
+            option = "--" + field.name.replace("_", "-")
+            raise InputError(f"is for torque policies, not {args.agent}", option, "leave it out")
+
+
+def _fit(
+    name: str,
+    args: TrainArgs,
+    config: Config,
+    module: nn.Module,
+    motions: Sequence[Motion],
+    banks: dict[int, MotionBank],
+    data: dict[str, Any],
+) -> Fit:
+    """One stage, resumed where ``args`` ask for it and there is something."""
+    learning = config.stages[name]
+    if learning.window not in banks:
+        banks.clear()
+        banks[learning.window] = MotionBank(motions, learning.window)
+    stages = list(config.stages)
+    # Each stage has its own stream of random numbers, whether or not the one before was resumed.
+    seed = args.seed + 1000 * stages.index(name)
+    torch.manual_seed(seed)
+    entry = AGENTS[args.agent]
+    task = entry.task(module, name, learning, banks[learning.window], config.validation)
+    trained = stages[: stages.index(name) + 1]
+
+    def save(folder: Path, training: dict[str, Any], resume: dict[str, Any] | None) -> None:
+        save_system(folder, module, args.agent, config.spec, training, resume)
+
+    record = {"preset": args.preset, "seed": args.seed, "threads": args.threads, **data}
+    fit = Fit(
+        name=name,
+        module=module,
+        task=task,
+        learning=learning,
+        folder=args.out / name,
+        budget=_budget(name, args, config),
+        save=save,
+        record=record | {"trained": trained},
+        seed=seed,
+    )
+    if args.resume and (fit.folder / "last" / CARD_FILE).exists():
+        fit.resume()
+    return fit
+
+
+def _budget(name: str, args: TrainArgs, config: Config) -> Budget:
+    learning = config.stages[name]
+    minutes = config.minutes if args.minutes is None else args.minutes
+    if args.steps is not None and args.minutes is None:
+        minutes = None
+    seconds = None if minutes is None else 60.0 * minutes * learning.share
+    return Budget(seconds, learning.steps if args.steps is None else args.steps)

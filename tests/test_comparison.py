@@ -1,0 +1,126 @@
+"""The comparison of kinematic systems, and the list of agents."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from agents.comparison import faulty, scenarios, table
+from agents.evaluation import EvaluateArgs, evaluate
+from agents.kinematic import load_system
+from agents.kinematic.data import MotionBank
+from agents.kinematic.interface import Body
+from agents.kinematic.recurrent import RecurrentPoser
+from agents.kinematic.registry import AGENTS
+from agents.kinematic.store import save_system
+from questsim.cli import main
+from questsim.errors import InputError
+from questsim.joint_sensors import readings
+from questsim.motion.library import save_library
+from questsim.motion.retarget_back import to_motion
+from questsim.sensors import SENSOR_SETS
+from tests.helpers import swaying_clip
+
+MOTION = to_motion(swaying_clip(frames=20))
+
+
+def saved(agent, folder):
+    """An untrained system on disk."""
+    torch.manual_seed(0)
+    entry = AGENTS[agent]
+    config = entry.presets["smoke"]
+    module, stage = entry.build(config.spec), next(iter(config.stages))
+    bank = MotionBank([MOTION], 3 if agent == "dragposer" else 18)
+    entry.task(module, stage, config.stages[stage], bank, 2)
+    save_system(folder, module, agent, config.spec, {"trained": [stage]})
+    return str(folder)
+
+
+def test_one_command_scores_all_systems_on_the_same_frames(tmp_path, capsys):
+    motions = tmp_path / "motions.npz"
+    save_library(motions, [MOTION], [])
+    hmd = saved("hmdposer", tmp_path / "hmd")
+    out = tmp_path / "scores"
+    args = EvaluateArgs(compare=True, agents=("ik", hmd), motions=str(motions), out=out, threads=1)
+    assert evaluate(args) == 0
+    report = json.loads((out / "comparison.json").read_text())
+    assert [row["agent"] for row in report["rows"]] == ["ik", *[hmd] * 6]
+    ik = report["rows"][0]["pooled"]
+    assert ik["pos_cm"] < 1.0 and ik["ee_cm"] < 1.0
+    assert report["rows"][1]["pooled"]["mpjpe_cm"] > ik["mpjpe_cm"]
+    with (out / "comparison.csv").open() as file:
+        lines = list(csv.DictReader(file))
+    assert len(lines) == 14 and float(lines[0]["pos_cm"]) >= 0
+    assert "| ik | 6 |" in (out / "comparison.md").read_text()
+    assert "| ik | 6 |" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"agents": ("ik",)}, "a comparison needs a folder"),
+        ({"out": "there"}, "names no system"),
+        ({"agents": ("nobody",), "out": "there"}, "nobody: is no kinematic system"),
+    ],
+)
+def test_a_comparison_without_what_it_needs_is_refused(options, message, tmp_path):
+    if "out" in options:
+        options = options | {"out": tmp_path / "there"}
+    with pytest.raises(InputError, match=message):
+        evaluate(EvaluateArgs(compare=True, **options))
+    assert not (tmp_path / "there").exists()
+
+
+def test_an_evaluation_of_nobody_is_refused():
+    with pytest.raises(InputError, match="names no agent"):
+        evaluate(EvaluateArgs())
+
+
+def test_dragposer_is_compared_in_every_scenario_of_its_table(tmp_path):
+    names = [s.name for s in scenarios(load_system(saved("dragposer", tmp_path / "drag")))]
+    assert names[:5] == ["3 head+hands", "3 hip+hands", "4", "5 no left foot", "6"]
+    assert names[-2:] == ["faulty 0.5 %", "faulty 1 %"]
+
+
+def test_the_window_protocol_forgets_what_is_older_than_the_window(tmp_path):
+    system = load_system(saved("lgsik", tmp_path / "lgsik"))
+    assert isinstance(system, RecurrentPoser)
+    motion = MOTION.resampled(60.0)
+    seen, body = readings(motion, SENSOR_SETS["H+2C"]), Body.of(motion)
+    whole = system.predict(seen, body)
+    windowed = system.predict_windows(seen, body, 8)
+    assert np.allclose(windowed.rotations[:8], whole.rotations[:8], atol=1e-5)
+    assert not np.allclose(windowed.rotations[-1], whole.rotations[-1], atol=1e-5)
+
+
+def test_a_faulty_tracker_is_silent_for_a_hundred_frames_and_one_always_reports():
+    motion = to_motion(swaying_clip(frames=300)).resampled(60.0)
+    seen = faulty(readings(motion, SENSOR_SETS["6T"]), 0.05, 0)
+    silent = ~seen.present
+    assert silent.any() and not silent.all(axis=1).any()
+    device = int(silent.any(axis=0).argmax())
+    first = int(silent[:, device].argmax())
+    assert silent[first : first + 100, device].all()
+    assert np.array_equal(faulty(seen, 0.0, 0).present, seen.present)
+
+
+def test_a_figure_there_is_nothing_to_average_for_is_a_dash(tmp_path):
+    from agents.comparison import Row
+
+    row = Row("a", "6", 10, {"pos_cm": None}, {"pos_cm": None}, 1.0)
+    assert "| a | 6 | - | 10 | 1.0 |" in table([row], "equal")
+
+
+def test_the_list_of_agents_has_every_agent_and_preset(capsys):
+    assert main(["agents", "--json"]) == 0
+    entries = json.loads(capsys.readouterr().out)
+    found = {(entry["agent"], entry["preset"]) for entry in entries}
+    assert {(name, preset) for name, e in AGENTS.items() for preset in e.presets} < found
+    hmd = next(e for e in entries if (e["agent"], e["preset"]) == ("hmdposer", "paper"))
+    assert hmd["parameters"] == 17_444_484
+    assert hmd["sensors"] == ["H+2C", "H+2C+2IMU", "H+2C+3IMU"]
+    assert {"licence", "weights", "title"} < set(hmd)
+    demo = next(e for e in entries if e["agent"] == "demo")
+    assert demo["weights"] and demo["licence"] == "MIT"

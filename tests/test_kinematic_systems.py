@@ -1,0 +1,389 @@
+"""The kinematic systems as they run: sizes, streams, bad input, solvers."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from agents.kinematic.constraints import joint_distance, weighted
+from agents.kinematic.data import MotionBank
+from agents.kinematic.drag_solver import LOST_FRAMES, DragPoser
+from agents.kinematic.dragposer import PAST, DragPoserModule, joints_from_root
+from agents.kinematic.features import DEVICES, features
+from agents.kinematic.ik import InverseKinematics
+from agents.kinematic.interface import Body, Poses, device_names
+from agents.kinematic.lgsik import group_mask
+from agents.kinematic.lstm import LstmBank
+from agents.kinematic.recurrent import RecurrentModule, RecurrentPoser
+from agents.kinematic.registry import AGENTS
+from agents.kinematic.skeletal import POOLINGS, SIZES, neighbour_mask
+from agents.kinematic.sparseposer import SparsePoser, SparsePoserModule
+from questsim import rotations as rot
+from questsim.errors import InputError
+from questsim.joint_sensors import readings
+from questsim.motion.retarget_back import to_motion
+from questsim.skeleton import JOINTS
+from tests.helpers import swaying_clip
+
+MOTION = to_motion(swaying_clip(frames=90)).resampled(60.0)
+BODY = Body.of(MOTION)
+BANK_WINDOWS = {"sparseposer": 64, "dragposer": 3, "hmdposer": 18, "lgsik": 18}
+SETS = {"hmdposer": "H+2C+2IMU", "lgsik": "H+2C+3IMU", "sparseposer": "6T", "dragposer": "6T"}
+
+
+def module_of(agent: str) -> Any:
+    """An untrained module of the smallest preset, its normalisers measured."""
+    torch.manual_seed(0)
+    entry = AGENTS[agent]
+    config = entry.presets["smoke"]
+    module = entry.build(config.spec)
+    bank = MotionBank([MOTION], BANK_WINDOWS[agent])
+    stage = next(iter(config.stages))
+    entry.task(module, stage, config.stages[stage], bank, 4)
+    return module
+
+
+def system_of(agent: str, **options):
+    trained = list(AGENTS[agent].presets["smoke"].stages)[:1]
+    return AGENTS[agent].system(module_of(agent), agent, trained, options)
+
+
+def stream(sensors, frames: int = 12):
+    seen = readings(MOTION, device_names(sensors))
+    return replace(
+        seen,
+        **{
+            name: getattr(seen, name)[:frames]
+            for name in ("time_s", "position", "quat", "acceleration", "present")
+        },
+    )
+
+
+def count(module: torch.nn.Module) -> int:
+    return sum(parameter.numel() for parameter in module.parameters())
+
+
+# -- sizes -----------------------------------------------------------------------------------
+
+
+def test_paper_presets_have_the_published_numbers_of_parameters():
+    def built(agent: str) -> Any:
+        return AGENTS[agent].build(AGENTS[agent].presets["paper"].spec)
+
+    sparse, drag = built("sparseposer"), built("dragposer")
+    assert count(sparse.generator) == 7_141_420
+    assert count(sparse.ik) == 110_176
+    assert count(drag.vae) == 65_872
+    assert count(drag.predictor) == pytest.approx(1.28e6, rel=0.01)
+    assert count(built("hmdposer")) == 17_444_484
+    # Its leg heads read 15 numbers of their leg, not 18 of a hand: 2 heads x 3 x 512 fewer.
+    assert count(built("lgsik")) == 7_283_988 - 2 * 3 * 512
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_cpu_presets_fit_into_ten_megabytes(agent):
+    assert 4 * count(AGENTS[agent].build(AGENTS[agent].presets["cpu"].spec)) < 10e6
+
+
+def test_the_skeleton_is_pooled_from_22_to_14_to_9_to_6_joints():
+    assert SIZES == (22, 14, 9, 6)
+    kept = {group[0]: group[1:] for group in POOLINGS[0].merged}
+    assert kept[0] == (1, 5, 9) and kept[14] == (11, 15) and kept[13] == () and kept[20] == (19,)
+
+
+def test_a_joint_reads_joints_two_bones_away_and_no_farther():
+    mask = neighbour_mask(POOLINGS[0].parents)
+    assert mask.shape == (14, 14) and torch.equal(mask, mask.T)
+    full = neighbour_mask((0, 0, 1, 2))
+    assert full[0].tolist() == [1, 1, 1, 0]
+
+
+def test_the_shape_group_feeds_all_and_receives_nothing():
+    mask = group_mask(9)
+    assert mask[:, -1].all() and mask[-1].sum() == 1
+    assert mask[0, :8].all()
+
+
+def test_a_bank_of_lstms_computes_what_pytorchs_lstm_does():
+    torch.manual_seed(0)
+    bank, lstm = LstmBank(2, 8), torch.nn.LSTM(8, 8, batch_first=True)
+    parameters = dict(lstm.named_parameters())
+    x = torch.randn(3, 5, 2, 8)
+    with torch.no_grad():
+        into, across, _ = bank._weights()
+        parameters["weight_ih_l0"].copy_(into[1].T)
+        parameters["weight_hh_l0"].copy_(across[1].T)
+        parameters["bias_ih_l0"].copy_(bank.input_bias[1])
+        parameters["bias_hh_l0"].copy_(bank.hidden_bias[1])
+        assert torch.allclose(bank(x)[0][:, :, 1], lstm(x[:, :, 1])[0], atol=1e-6)
+
+
+# -- streams -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_streaming_and_offline_give_the_same_poses(agent):
+    system, seen = system_of(agent), stream(SETS[agent])
+    whole = system.predict(seen, BODY)
+    system.reset(BODY, seen.names)
+    one_by_one = Poses.joined([system.step(seen[t]) for t in range(len(seen))])
+    assert np.abs(whole.root_position - one_by_one.root_position).max() < 1e-4
+    assert np.abs(whole.rotations - one_by_one.rotations).max() < 1e-4
+    assert np.abs(whole.offsets - one_by_one.offsets).max() < 1e-4
+
+
+def test_sparseposer_with_seven_future_frames_answers_seven_frames_late():
+    system = SparsePoser(module_of("sparseposer"), future_frames=7)
+    seen = stream("6T", 20)
+    offline = system.predict(seen, BODY)
+    system.reset(BODY, seen.names)
+    streamed = [system.step(seen[t]) for t in range(20)]
+    assert np.allclose(streamed[19].root_position[0], offline.root_position[12], atol=1e-6)
+    assert np.allclose(streamed[3].root_position, streamed[0].root_position, atol=1e-6)
+
+
+@pytest.mark.parametrize("agent", ["hmdposer", "sparseposer"])
+def test_turning_the_world_turns_the_poses(agent):
+    system, seen = system_of(agent), stream(SETS[agent], 6)
+    turn = rot.yaw_quat(np.array(1.1))
+    turned = replace(
+        seen,
+        position=rot.quat_rotate(turn, seen.position) + np.array([3.0, -2.0, 0.0]),
+        quat=rot.quat_multiply(turn, seen.quat),
+        acceleration=rot.quat_rotate(turn, seen.acceleration),
+    )
+    a, b = system.predict(seen, BODY), system.predict(turned, BODY)
+    moved = rot.quat_rotate(turn, a.forward_kinematics()[0]) + np.array([3.0, -2.0, 0.0])
+    assert np.abs(moved - b.forward_kinematics()[0]).max() < 1e-3
+
+
+def test_the_head_is_where_the_headset_says():
+    system, seen = system_of("hmdposer"), stream("H+2C")
+    head = JOINTS.index("head")
+    got = system.predict(seen, BODY).forward_kinematics()[0][:, head]
+    assert np.allclose(got, MOTION.forward_kinematics()[0][: len(seen), head], atol=1e-4)
+
+
+def test_missing_imus_are_zeros_and_nothing_else_is():
+    position = torch.randn(1, 4, 3, 3)
+    rotation = torch.eye(3).expand(1, 4, 6, 3, 3)
+    seen = torch.tensor([[True, True, False]])
+    told, _ = features(position, rotation, torch.ones(1, 4, 3, 3), seen)
+    assert not told[..., 30:36].any() and not told[..., 132:135].any()
+    assert told[..., 18:24].any() and told[..., 126:129].any()
+
+
+def test_features_of_a_frame_use_no_later_frame():
+    torch.manual_seed(0)
+    position = torch.randn(1, 6, 3, 3)
+    rotation = torch.linalg.qr(torch.randn(1, 6, 6, 3, 3)).Q
+    acceleration, seen = torch.randn(1, 6, 3, 3), torch.ones(1, 3, dtype=torch.bool)
+    whole, _ = features(position, rotation, acceleration, seen)
+    early, _ = features(position[:, :3], rotation[:, :3], acceleration[:, :3], seen)
+    assert torch.equal(whole[:, :3], early)
+
+
+# -- bad input ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("agent", "sensors", "message"),
+    [
+        ("sparseposer", "4T", "needs left_toe_tracker"),
+        ("hmdposer", "6T", "cannot use pelvis_tracker"),
+        ("hmdposer", "H+9C", "unknown sensor set"),
+        ("dragposer", ("headset", "left_ear", "pelvis_tracker"), "unknown tracker 'left_ear'"),
+        ("dragposer", "H", "three trackers"),
+        ("lgsik", (*DEVICES[:3], "pelvis_imu"), "no IMU, both knees"),
+    ],
+)
+def test_sensors_a_system_cannot_use_are_refused_by_name(agent, sensors, message):
+    with pytest.raises(InputError, match=message):
+        system_of(agent).reset(BODY, sensors)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"position": np.full((6, 3), np.nan)}, "position of headset is not finite"),
+        ({"quat": np.full((6, 4), 0.7)}, "quaternion of headset has length 1.4"),
+        ({"time_s": 0.0}, "time goes from"),
+        ({"names": ("headset",)}, "instead of"),
+        ({"quat": np.zeros((5, 4))}, r"quat has shape \(5, 4\)"),
+    ],
+)
+@pytest.mark.parametrize("agent", ["sparseposer", "dragposer"])
+def test_a_bad_frame_is_refused_and_the_stream_goes_on(agent, change, message):
+    system, seen = system_of(agent), stream("6T")
+    system.reset(BODY, "6T")
+    system.step(seen[0])
+    system.step(seen[1])
+    with pytest.raises(InputError, match=message):
+        system.step(replace(seen[2], **change))
+    assert system.step(seen[2]).finite()
+
+
+def test_step_before_reset_is_refused():
+    with pytest.raises(InputError, match="reset comes before step"):
+        system_of("hmdposer").step(stream("H+2C")[0])
+
+
+def test_a_short_gap_is_bridged_by_as_many_frames_as_are_missing():
+    system, seen = system_of("sparseposer"), stream("6T")
+    system.reset(BODY, "6T")
+    steps = []
+    original = system._next
+    system._next = lambda signals: (steps.append(1), original(signals))[1]
+    system.step(seen[0])
+    system.step(seen[4])
+    assert len(steps) == 5
+
+
+def test_a_long_gap_begins_the_stream_anew():
+    system, seen = system_of("hmdposer"), stream("H+2C")
+    system.reset(BODY, "H+2C")
+    for t in range(5):
+        system.step(seen[t])
+    late = replace(seen[6], time_s=9.0)
+    after_gap = system.step(late)
+    system.reset(BODY, "H+2C")
+    assert np.allclose(after_gap.rotations, system.step(late).rotations)
+
+
+def test_a_silent_device_keeps_its_pose_for_systems_that_need_it():
+    system, seen = system_of("sparseposer"), stream("6T")
+    system.reset(BODY, "6T")
+    system.step(seen[0])
+    hidden = replace(
+        seen[1],
+        present=np.array([True, True, False, True, True, True]),
+        position=np.where(np.arange(6)[:, None] == 2, np.nan, seen[1].position),
+    )
+    held = np.where(np.arange(6)[:, None] == 2, seen[0].position, seen[1].position)
+    turned = np.where(np.arange(6)[:, None] == 2, seen[0].quat, seen[1].quat)
+    a = system.step(hidden)
+    system.reset(BODY, "6T")
+    system.step(seen[0])
+    b = system.step(replace(seen[1], position=held, quat=turned))
+    assert np.allclose(a.rotations, b.rotations)
+
+
+@pytest.mark.parametrize("agent", ["hmdposer", "sparseposer"])
+def test_a_pose_is_never_nan_even_if_the_network_is(agent):
+    module = module_of(agent)
+    system = AGENTS[agent].system(module, agent, [], {})
+    seen = stream(SETS[agent])
+    system.reset(BODY, SETS[agent])
+    good = system.step(seen[0])
+    with torch.no_grad():
+        for parameter in module.parameters():
+            parameter.fill_(torch.nan)
+    module.train().eval()
+    again = system.step(seen[1])
+    assert again.finite() and np.allclose(again.rotations, good.rotations)
+
+
+# -- DragPoser -----------------------------------------------------------------------------------
+
+
+def tracker_error(poses: Poses) -> np.ndarray:
+    """Mean distance in metres ``(T,)`` of pelvis and head from the recording's."""
+    at = [JOINTS.index("root"), JOINTS.index("head")]
+    want = MOTION.forward_kinematics()[0][: len(poses), at]
+    return np.linalg.norm(poses.forward_kinematics()[0][:, at] - want, axis=-1).mean(-1)
+
+
+def test_one_newton_iteration_comes_closer_than_one_of_adam():
+    module, seen = module_of("dragposer"), stream("6T", 6)
+    errors = {}
+    for solver in ("newton", "adam"):
+        system = DragPoser(module, iterations=1, solver=solver, predictor=False)
+        errors[solver] = tracker_error(system.predict(seen, BODY)).mean()
+    assert errors["newton"] < 0.5 * errors["adam"]
+
+
+def test_dragposer_goes_on_when_trackers_vanish_one_by_one_and_come_back():
+    system, seen = system_of("dragposer", iterations=2), stream("6T", 16)
+    present = seen.present.copy()
+    present[2:10, 2:] = False
+    present[4:7] = False
+    hidden = replace(
+        seen, present=present, position=np.where(present[..., None], seen.position, np.nan)
+    )
+    poses = system.predict(hidden, BODY)
+    assert poses.finite()
+    whole = tracker_error(system.predict(seen, BODY))
+    assert tracker_error(poses)[-1] < whole[-1] + 0.05
+
+
+def test_dragposer_is_back_within_two_seconds_after_the_user_is_somewhere_else():
+    system, seen = (
+        DragPoser(module_of("dragposer"), iterations=1, predictor=False),
+        stream("6T", 40),
+    )
+    elsewhere = seen.position.copy()
+    turn = rot.yaw_quat(np.array(3.0))
+    elsewhere[10:] = rot.quat_rotate(turn, seen.position[10:]) + np.array([5.0, 0.0, 0.0])
+    quat = seen.quat.copy()
+    quat[10:] = rot.quat_multiply(turn, seen.quat[10:])
+    poses = system.predict(replace(seen, position=elsewhere, quat=quat), BODY)
+    want = rot.quat_rotate(turn, MOTION.root_position[39]) + np.array([5.0, 0.0, 0.0])
+    assert np.linalg.norm(poses.root_position[39] - want) < 0.1
+    assert LOST_FRAMES / 60.0 < 2.0
+
+
+def test_a_constraint_of_the_user_is_met_where_trackers_leave_room():
+    module, seen = module_of("dragposer"), stream("3T", 4)
+    a, b = JOINTS.index("left_knee"), JOINTS.index("right_knee")
+
+    def apart(constraints):
+        system = DragPoser(module, iterations=10, predictor=False, constraints=constraints)
+        position = system.predict(seen, BODY).forward_kinematics()[0]
+        return float(np.linalg.norm(position[-1, a] - position[-1, b]))
+
+    free = apart(())
+    asked = apart((weighted(100.0, joint_distance("left_knee", "right_knee", free + 0.05)),))
+    assert asked == pytest.approx(free + 0.05, abs=0.02)
+
+
+def test_the_memory_of_dragposer_does_not_grow_with_the_stream():
+    module = module_of("dragposer")
+    module.token_std.fill_(1.0)
+    system, seen = DragPoser(module, iterations=1), stream("6T", 2)
+    system.reset(BODY, "6T")
+    for t in range(4 * PAST + 8):
+        system.step(replace(seen[0], time_s=t / 60.0))
+    assert len(system._tokens) == PAST
+    assert system._coming is not None
+
+
+def test_decoded_joints_are_those_of_forward_kinematics():
+    module = module_of("dragposer")
+    assert isinstance(module, DragPoserModule)
+    quat = torch.as_tensor(MOTION.forward_kinematics()[1][:3], dtype=torch.float32)
+    root = quat[:, :1] * torch.tensor([1.0, -1, -1, -1])
+    from questsim import differentiable as diff
+
+    seen_from_root = diff.quat_multiply(*torch.broadcast_tensors(root, quat))
+    offsets = torch.as_tensor(MOTION.offsets, dtype=torch.float32)
+    position = torch.as_tensor(MOTION.forward_kinematics()[0][:3], dtype=torch.float32)
+    want = diff.quat_rotate(root, position - position[:, :1])
+    assert torch.allclose(joints_from_root(seen_from_root, offsets), want, atol=1e-5)
+
+
+# -- inverse kinematics --------------------------------------------------------------------------
+
+
+def test_classical_ik_finds_the_avatars_own_pose_to_a_centimetre():
+    seen = stream("6T", 6)
+    position = InverseKinematics().predict(seen, BODY).forward_kinematics()[0]
+    want = MOTION.forward_kinematics()[0][:6]
+    assert np.linalg.norm(position - want, axis=-1).mean() < 0.01
+
+
+def test_modules_are_what_the_registry_says():
+    assert isinstance(module_of("hmdposer"), RecurrentModule)
+    assert isinstance(system_of("lgsik"), RecurrentPoser)
+    assert isinstance(module_of("sparseposer"), SparsePoserModule)

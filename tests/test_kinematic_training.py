@@ -1,0 +1,185 @@
+"""Training of the kinematic systems: errors fall, runs are recorded, resumed to the bit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from agents.kinematic import load_system
+from agents.kinematic.data import MotionBank, motions_record
+from agents.kinematic.features import HEAD
+from agents.kinematic.fit import Fit
+from agents.kinematic.interface import Body
+from agents.kinematic.registry import AGENTS
+from agents.kinematic.sparse_training import measure_normalisers
+from agents.kinematic.sparseposer import SparsePoserModule
+from agents.kinematic.store import find_system, load_module, save_system
+from agents.monitor import Display
+from agents.run_folder import read_run
+from agents.stage import Budget, Stopper
+from agents.training import TrainArgs, train
+from questsim.errors import InputError
+from questsim.joint_sensors import readings
+from questsim.motion.library import save_library
+from questsim.motion.retarget_back import to_motion
+from questsim.sensors import SENSOR_SETS
+from tests.helpers import swaying_clip
+
+MOTION = to_motion(swaying_clip(frames=90))
+STEPS = 24
+SETS = {"hmdposer": "H+2C", "lgsik": "H+2C", "sparseposer": "6T", "dragposer": "6T"}
+
+
+@pytest.fixture
+def library(tmp_path):
+    path = tmp_path / "motions.npz"
+    save_library(path, [MOTION], [])
+    return str(path)
+
+
+def arguments(agent, library, out, **more):
+    options = {"preset": "smoke", "threads": 1, "steps": STEPS} | more
+    return TrainArgs(out=out, agent=agent, motions=library, **options)
+
+
+def history(out, agent):
+    """Evaluations of the first stage: errors in cm."""
+    stage = next(iter(AGENTS[agent].presets["smoke"].stages))
+    state = torch.load(out / stage / "last" / "resume.pt", weights_only=True)
+    return [entry["error_cm"] for entry in state["history"]]
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_a_tiny_training_lowers_its_error_and_gives_a_system_that_runs(agent, library, tmp_path):
+    out = tmp_path / "run"
+    assert train(arguments(agent, library, out)) == 0
+    errors = history(out, agent)
+    assert errors[-1] < 0.95 * errors[0]
+    assert read_run(out)["args"]["agent"] == agent
+    assert list(out.glob("*/tensorboard/events*"))
+    system = load_system(out)
+    motion = MOTION.resampled(60.0)
+    system.reset(Body.of(motion), SETS[agent])
+    pose = system.step(readings(motion, SENSOR_SETS[SETS[agent]])[0])
+    assert pose.finite()
+
+
+class StopAfter(Stopper):
+    """Asks for a stop when a stage has made so many steps."""
+
+    def __init__(self, steps: int) -> None:
+        super().__init__()
+        self.left = steps
+
+    @property
+    def requested(self) -> bool:  # type: ignore[override]
+        self.left -= 1
+        return self.left < 0
+
+    @requested.setter
+    def requested(self, value: bool) -> None:
+        pass
+
+
+def fit_of(agent: str, stage: str, folder, seed: int = 0) -> Fit:
+    torch.manual_seed(seed)
+    entry = AGENTS[agent]
+    config = entry.presets["smoke"]
+    module, learning = entry.build(config.spec), config.stages[stage]
+    task = entry.task(module, stage, learning, MotionBank([MOTION], learning.window), 4)
+
+    def save(where, training, resume):
+        save_system(where, module, agent, config.spec, training, resume)
+
+    return Fit(stage, module, task, learning, folder, Budget(None, 6), save, {}, seed)
+
+
+@pytest.mark.parametrize(("agent", "stage"), [("hmdposer", "network"), ("dragposer", "vae")])
+def test_a_resumed_training_ends_with_the_bits_of_one_in_one_piece(agent, stage, tmp_path):
+    with Display() as display:
+        whole = fit_of(agent, stage, tmp_path / "whole")
+        whole.run(display, Stopper())
+        first = fit_of(agent, stage, tmp_path / "parts")
+        first.run(display, StopAfter(3))
+        assert 0 < first.steps < 6
+        second = fit_of(agent, stage, tmp_path / "parts", seed=5)
+        second.resume()
+        second.run(display, Stopper())
+    for name, tensor in whole.module.state_dict().items():
+        assert torch.equal(tensor, second.module.state_dict()[name]), name
+    assert second.history[-1]["error_cm"] == whole.history[-1]["error_cm"]
+
+
+def test_a_run_is_neither_overwritten_nor_resumed_with_other_options(library, tmp_path):
+    out = tmp_path / "run"
+    train(arguments("lgsik", library, out, steps=2))
+    with pytest.raises(InputError, match="holds a run already"):
+        train(arguments("lgsik", library, out, steps=2))
+    with pytest.raises(InputError, match="--agent was lgsik, not hmdposer"):
+        train(arguments("hmdposer", library, out, steps=2, resume=True))
+    assert train(arguments("lgsik", library, out, steps=4, resume=True)) == 0
+    assert len(read_run(out)["resumed"]) == 1
+
+
+def test_options_of_torque_policies_are_refused_and_leave_no_run(library, tmp_path):
+    with pytest.raises(InputError, match="--sensors: is for torque policies, not lgsik"):
+        train(arguments("lgsik", library, tmp_path / "run", sensors="H"))
+    with pytest.raises(InputError, match="no motion has 129 frames"):
+        short = tmp_path / "short.npz"
+        save_library(short, [to_motion(swaying_clip(frames=30))], [])
+        args = arguments("dragposer", str(short), tmp_path / "run")
+        train(replace(args, set=("stages.vae.window=129",)))
+    assert not (tmp_path / "run" / "run.yaml").exists()
+
+
+def test_a_damaged_or_foreign_checkpoint_is_refused(tmp_path):
+    config = AGENTS["lgsik"].presets["smoke"]
+    folder = tmp_path / "system"
+    save_system(folder, AGENTS["lgsik"].build(config.spec), "lgsik", config.spec, {})
+    assert find_system(folder) == folder
+    text = (folder / "system.yaml").read_text()
+    (folder / "system.yaml").write_text(text.replace("left_knee", "left_wing"))
+    with pytest.raises(InputError, match="joints is not"):
+        load_module(folder)
+    (folder / "system.yaml").write_text(text)
+    (folder / "system.safetensors").write_bytes(b"nothing")
+    with pytest.raises(InputError, match="the weights do not fit"):
+        load_module(folder)
+
+
+def test_windows_are_reproducible_and_mirrored_and_of_other_people():
+    bank = MotionBank([MOTION], 20)
+    a = bank.draw(32, np.random.default_rng(1))
+    b = bank.draw(32, np.random.default_rng(1))
+    assert torch.equal(a.position, b.position)
+    heights = a.position[:, 0, HEAD, 2]
+    assert heights.std() > 0.01
+    plain = bank.draw(32, np.random.default_rng(1), vary=False)
+    assert torch.allclose(plain.offsets.norm(dim=-1)[0], plain.offsets.norm(dim=-1)[1], atol=1e-3)
+
+
+def test_joints_of_a_window_are_on_its_own_bones():
+    windows = MotionBank([MOTION], 10).draw(8, np.random.default_rng(0))
+    thigh = (windows.position[:, :, 2] - windows.position[:, :, 1]).norm(dim=-1)
+    assert torch.allclose(thigh, windows.offsets[:, None, 2].norm(dim=-1).expand(-1, 10), atol=1e-4)
+
+
+def test_normalised_dual_quaternions_have_mean_zero_and_deviation_one():
+    module = AGENTS["sparseposer"].build(AGENTS["sparseposer"].presets["smoke"].spec)
+    assert isinstance(module, SparsePoserModule)
+    windows = MotionBank([MOTION], 64).fixed(16)
+    measure_normalisers(module, windows)
+    from agents.kinematic.sparseposer import root_space
+    from questsim import differentiable as diff
+
+    dual = root_space(windows.position, diff.matrix_to_quat(windows.world))
+    normal = module.normal(dual).flatten(0, 1)
+    assert normal.mean(0).abs().max() < 1e-3
+    moving = module.std > 2e-3
+    assert (normal.std(0)[moving] - 1.0).abs().max() < 1e-3
+
+
+def test_the_record_of_motions_changes_with_a_single_frame():
+    other = replace(MOTION, root_position=MOTION.root_position + 1e-3)
+    assert motions_record("x", [MOTION])["sha256"] != motions_record("x", [other])["sha256"]
