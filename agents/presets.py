@@ -129,15 +129,15 @@ Places weigh more than published, and links may not turn or lean. The contact te
 a beginner it is mostly the noise of its own exploration."""
 
 CPU = Preset(
-    minutes=30.0,
+    minutes=45.0,
     num_envs=256,
     stages={
         "teacher": StageConfig(
-            share=0.70,
+            share=0.75,
             policy=TEACHER,
             learning=PPOConfig(
                 gae_lambda=0.9,
-                desired_kl=0.12,
+                desired_kl=0.08,
                 final_kl=0.015,
                 noise_legs_and_trunk=0.08,
                 noise_arms_and_neck=0.03,
@@ -146,7 +146,7 @@ CPU = Preset(
             max_error_m=0.2,
         ),
         "student": StageConfig(
-            share=0.30,
+            share=0.25,
             policy=STUDENT,
             learning=DaggerConfig(),
             evaluate_every=200_000,

@@ -192,8 +192,8 @@ def test_a_policy_is_trained_further_on_a_terrain(library, tmp_path, monkeypatch
         lambda clips, config, *rest: made.append(config) or evaluation_sim(clips, config, *rest),
     )
     args = TrainArgs(
-        tmp_path / "run",
-        str(library),
+        out=tmp_path / "run",
+        motions=str(library),
         stage="finetune",
         start=Path("demo"),
         env="rough:amplitude_m=0.06",

@@ -18,7 +18,12 @@ HERE = Path(__file__).parent
 TABLE, IMAGES = HERE / "curves.csv", HERE.parent / "images"
 COLUMNS = ("curve", "steps", "tracked", "link_error_cm", "score")
 FIGURES = {
-    "training-teacher.png": ("teacher, springs of 100 c", "teacher, springs of 50 c"),
+    "training-teacher.png": (
+        "springs of 100 c",
+        "springs of 50 c, orientations rewarded",
+        "and torques of the motion",
+        "and errors of the links",
+    ),
     "training-students.png": ("student H+2C", "student H", "student H+2C, no future frames"),
 }
 
