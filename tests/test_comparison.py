@@ -75,7 +75,7 @@ def test_a_comparison_without_what_it_needs_is_refused(options, message, tmp_pat
 
 def test_an_evaluation_of_nobody_is_refused():
     with pytest.raises(InputError, match="names no agent"):
-        evaluate(EvaluateArgs())
+        evaluate(EvaluateArgs(agent=""))
 
 
 def test_dragposer_is_compared_in_every_scenario_of_its_table(tmp_path):
