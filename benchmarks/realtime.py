@@ -140,6 +140,8 @@ def numpy_forward(agent: PolicyAgent) -> Callable[[np.ndarray], np.ndarray]:
             x -= gains * obs[:, head.joint_columns.numpy()]
             if head.reference_columns is not None:
                 x += gains * obs[:, head.reference_columns.numpy()]
+            if head.torque_columns is not None:
+                x += obs[:, head.torque_columns.numpy()]
         return np.clip(x, -1.0, 1.0)
 
     return forward

@@ -28,7 +28,7 @@ class FakeVecEnv(VecEnv):
     """Follow a sine by joint: q += 0.2 a + 0.5 qdot. o_user is the next reference, noiseless."""
 
     torque_limits = np.full(NUM_DOFS, 100.0)
-    damping = np.full(NUM_DOFS, 0.5)
+    damping = np.full(NUM_DOFS, 1.0)
     episode_frames = 40
     unstable_count = 0
 
