@@ -42,7 +42,7 @@ demo-video: $(INSTALLED)  ## the same without a browser: writes demo/demo.mp4
 	$(VENV)/bin/questsim demo --video demo/demo.mp4 $(DEMO_FLAGS)
 
 demo-scores: $(INSTALLED)  ## evaluate the shipped policy on embedded motions; writes demo/
-	$(PY) evaluate.py --agent demo --motions $(DEMO_MOTIONS) --out demo --video
+	$(PY) evaluate.py --agent questsim --motions $(DEMO_MOTIONS) --out demo --video
 
 docs: $(INSTALLED)  ## build the documentation's site into site/
 	$(PY) -m mkdocs build --strict --quiet

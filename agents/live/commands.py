@@ -39,7 +39,7 @@ MOST_CLIPS = 80
 class DemoArgs:
     """Watch a shipped policy follow a user, in a browser or on video."""
 
-    agent: str = "demo"
+    agent: str = "questsim"
     """To begin with: a shipped policy's name, a run folder, a policy folder, zero or random."""
     motions: str = "synthetic"
     """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
