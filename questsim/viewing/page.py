@@ -55,7 +55,7 @@ class Page:
         """Show a session to whoever looks, until ``stop`` is set."""
         self._loading.remove()
         panel = PagePanel(self._server, session, self._scene)
-        shown, words_due, refreshed = -1, 0.0, session.settings
+        shown, words_due = -1, 0.0
         self._scene.show(session.snapshot())
         while not stop.wait(1.0 / PICTURES_A_SECOND / 2.0):
             snapshot = session.snapshot()
@@ -69,6 +69,5 @@ class Page:
             if now >= words_due:
                 words_due = now + 1.0 / _WORDS_A_SECOND
                 panel.show(snapshot)
-                if session.settings != refreshed:  # changed by something else than this panel
-                    refreshed = session.settings
+                if session.settings != panel.refreshed:  # changed by something else than it
                     panel.refresh()

@@ -36,6 +36,7 @@ class PagePanel:
         self._gui = server.gui
         self._trace = Trace()
         self._fields: dict[str, Any] = {}
+        self.refreshed = session.settings
         self._shown_status = ""
         self._status = self._gui.add_markdown("...")
         self._add_buttons()
@@ -157,6 +158,7 @@ class PagePanel:
     def refresh(self) -> None:
         """Let every field show what is in force."""
         settings, choices = self._session.settings, self._session.choices
+        self.refreshed = settings
         for setting, options in (("agent", choices.agents), ("sensors", choices.sensors)):
             if tuple(self._fields[setting].options) != options:
                 self._fields[setting].options = options
