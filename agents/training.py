@@ -77,8 +77,8 @@ class TrainArgs:
     teacher: Path | None = None
     """A teacher for the student stage: a folder or a shipped name; by default the run's own."""
     start: Path | None = None
-    """A teacher, by folder or shipped name, whose weights the teacher begins with; with --stage
-    finetune, a policy (a run, a stage, a shipped name) that is trained further."""
+    """A policy (a run, a stage, a shipped name) that is trained further: a teacher, or with
+    --stage finetune one of the same sensors."""
     sensors: str = "H+2C"
     """What the policy sees of the user."""
     future_frames: int = 6
@@ -171,6 +171,8 @@ def _stage_names(args: TrainArgs, preset: Preset) -> list[str]:
             "--stage",
             f"it has {', '.join(preset.stages)}",
         )
+    if args.start is not None and args.stage in ("student", "ppo"):
+        raise InputError(f"does not apply to --stage {args.stage}", "--start", "leave it out")
     return [args.stage]
 
 
@@ -314,9 +316,10 @@ def make_learner(
     if name == "teacher" and args.start is not None:
         _begin_with(learner.policy, args.start)
     if name == "finetune":
-        start = load_policy(find_policy(args.start or args.out / "student"))
+        where = args.start or args.out / "student"
+        start = load_policy(find_policy(where))
         start.bind(env)
-        copy_actor(start.policy, learner.policy)
+        copy_actor(start.policy, learner.policy, where)
         noise = noise_by_joint(
             DOFS, config.learning.noise_legs_and_trunk, config.learning.noise_arms_and_neck
         )
@@ -383,20 +386,26 @@ def _begin_with(policy: TorquePolicy, teacher: Path) -> None:
     """
     folder = find_policy(teacher)
     source = load_policy(folder).policy
-    try:
-        copy_actor(source, policy)
-    except RuntimeError as error:
-        raise InputError("its networks do not fit this preset's", teacher, "see --start") from error
+    copy_actor(source, policy, teacher)
     load_critic(folder, policy)
 
 
-def copy_actor(source: TorquePolicy, target: TorquePolicy) -> None:
+def copy_actor(source: TorquePolicy, target: TorquePolicy, where: Path) -> None:
     """Give ``target`` the networks, normaliser and gains of a policy without critic.
+
+    Args:
+        source: the policy.
+        target: keeps its own critic.
+        where: ``source`` is from, for the message.
 
     Raises:
         InputError: if their networks differ.
     """
     state = {k: v for k, v in source.state_dict().items() if not k.startswith("critic.")}
-    missing, unexpected = target.load_state_dict(state, strict=False)
-    if unexpected or any(not name.startswith("critic.") for name in missing):
-        raise InputError("the student has other networks than this preset", "--preset")
+    try:
+        missing, unexpected = target.load_state_dict(state, strict=False)
+        fits = not unexpected and all(name.startswith("critic.") for name in missing)
+    except RuntimeError:  # other sizes
+        fits = False
+    if not fits:
+        raise InputError("has other networks than this preset and stage", where, "see --start")
