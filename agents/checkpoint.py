@@ -211,6 +211,16 @@ def find_policy(path_or_name: str | Path) -> Path:
     raise InputError("is no agent", path_or_name, f"name a policy folder or one of {names}")
 
 
+def find_teacher(path_or_name: str | Path) -> Path:
+    """As ``find_policy``, but of a run its teacher.
+
+    Raises:
+        InputError: see there.
+    """
+    teacher = Path(path_or_name) / "teacher"
+    return find_policy(teacher if teacher.is_dir() else path_or_name)
+
+
 def load_resume(folder: Path) -> dict[str, Any]:
     """What ``save_policy`` was given as ``resume``.
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass, fields
 from math import ceil
 from pathlib import Path
 from typing import Any
 
-from agents.checkpoint import CARD_FILE, find_policy, read_card
+from agents.checkpoint import CARD_FILE, find_policy, find_teacher, read_card
 from agents.licence import strictest
-from agents.run_folder import RECORD, plain, read_run
+from agents.run_folder import RECORD, default_of, plain, read_run
 from agents.training import TrainArgs
 from questsim.errors import InputError
 
@@ -21,7 +21,7 @@ STAGES = ("teacher", "student", "finetune")
 RECORDED = ("stage", "steps", "minutes", "motions", "licences", "seed", "clips", "seconds")
 """What the ``training`` of a policy must tell, as every training writes it."""
 
-NOT_REPEATED = ("out", "stage", "minutes", "steps", "resume", "teacher", "threads")
+NOT_REPEATED = ("out", "stage", "minutes", "steps", "resume", "teacher", "start", "threads")
 """Options that a command line here has of its own, or that have no effect on what is learnt."""
 
 
@@ -84,20 +84,38 @@ def stages_behind(folder: Path) -> list[StagePart]:
     if "stages" in training:
         return _shipped_stages(folder, training)
     run = run_of(folder)
-    stage, earlier = training["stage"], list[StagePart]()
-    start = read_run(run)["args"].get("start")
-    if stage in STAGES[1:]:
-        before = STAGES[STAGES.index(stage) - 1]
-        teacher = read_run(run)["args"].get("teacher")
-        where = Path(teacher) if teacher and before == "teacher" else run / before
-        if start and stage == "finetune":
-            where = Path(start)
-        earlier = stages_behind(find_policy(where))
-    if stage == "teacher" and start:
-        earlier = stages_behind(find_policy(Path(start)))
+    stage, record = training["stage"], read_run(run)
+    start, teacher = said(record, stage, "start"), said(record, stage, "teacher")
+    before: list[Path] = []
+    if stage == "student":
+        before.append(find_teacher(teacher or run / "teacher"))
+    if start:
+        before.append(find_teacher(start) if stage == "teacher" else find_policy(start))
+    elif stage == "finetune":
+        before.append(find_policy(run / "student"))
+    earlier: list[StagePart] = []
+    for policy in before:
+        # Two ways may lead to the same teacher.
+        earlier += [part for part in stages_behind(policy) if part not in earlier]
     last = run / stage / "last"
     end = _training(last) if (last / CARD_FILE).exists() else training
     return [*earlier, StagePart(run, training, end["steps"], end["minutes"])]
+
+
+def said(record: Mapping[str, Any], stage: str, option: str) -> Any:
+    """What an option of a run was when ``stage`` was begun.
+
+    Args:
+        record: of the run, with what it was resumed with.
+        stage: a stage; ``--stage all`` begins with the teacher.
+        option: ``start``, which counts only for the first stage of a command, or ``teacher``.
+    """
+    for entry in (record, *record.get("resumed", ())):
+        args = entry["args"]
+        mine = (stage, "all") if stage == "teacher" or option == "teacher" else (stage,)
+        if args.get("stage") in mine and args.get(option):
+            return args[option]
+    return None
 
 
 def _shipped_stages(folder: Path, training: dict[str, Any]) -> list[StagePart]:
@@ -147,7 +165,10 @@ def commands(parts: list[StagePart]) -> list[str]:
         if run in begun:
             words.append("--resume")
         begun.add(run)
-        lines.append(shlex.join(["python", "train.py", *_options(read_run(run)["args"]), *words]))
+        record = read_run(run)
+        if start := said(record, stage, "start"):
+            words += ["--start", str(start)]
+        lines.append(shlex.join(["python", "train.py", *_options(record["args"]), *words]))
     return lines
 
 
@@ -162,10 +183,18 @@ def _options(args: Mapping[str, Any]) -> list[str]:
         name = option.name
         if name in NOT_REPEATED or name not in args:
             continue
-        value, default = args[name], None if option.default is MISSING else plain(option.default)
-        if value == default and name not in ("motions", "preset"):
-            continue
-        words.append("--" + name.replace("_", "-"))
-        if not isinstance(value, bool):
-            words += map(str, value if isinstance(value, list) else [value])
+        value, default = args[name], plain(default_of(option))
+        if isinstance(value, dict):
+            for inner, number in value.items():
+                if number != default[inner]:
+                    words += _words(f"{name}.{inner}", number)
+        elif value != default or name in ("motions", "preset"):
+            words += _words(name, value)
     return words
+
+
+def _words(name: str, value: Any) -> list[str]:
+    option = "--" + name.replace("_", "-")
+    if isinstance(value, bool):
+        return [option]
+    return [option, *map(str, value if isinstance(value, list) else [value])]

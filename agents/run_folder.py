@@ -6,7 +6,7 @@ import hashlib
 import platform
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, is_dataclass
+from dataclasses import MISSING, Field, asdict, fields, is_dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -141,10 +141,19 @@ def check_same_run(
     Raises:
         InputError: naming the option that differs.
     """
+    unsaid = plain({option.name: default_of(option) for option in fields(args)})
     for name, value in plain(args).items():
-        before = record["args"].get(name)
+        # Records from before there was an option lack it.
+        before = record["args"].get(name, unsaid[name])
         if name not in may_differ and value != before:
             option = "--" + name.replace("_", "-")
             raise InputError(f"{option} was {before}, not {value}", out / RECORD, "use it again")
     if record["data"]["sha256"] != data["sha256"]:
         raise InputError("the motions are not those it was started with", out / RECORD)
+
+
+def default_of(option: Field[Any]) -> Any:
+    """What an option is when nobody says anything; None if it must be said."""
+    if option.default_factory is not MISSING:
+        return option.default_factory()
+    return None if option.default is MISSING else option.default

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 import torch
 
-from agents.agent import Needs, PolicyAgent, new_policy
-from agents.checkpoint import CARD_FILE, find_policy, load_critic, load_policy
-from agents.dagger import Dagger, DaggerConfig
+from agents.agent import Needs, PolicyAgent
+from agents.beginning import make_learner
+from agents.checkpoint import CARD_FILE, find_policy
 from agents.learner import Learner
 from agents.monitor import Display
 from agents.overrides import with_overrides
-from agents.policy import TorquePolicy
 from agents.ppo import AdaptivePPO
 from agents.presets import PRESETS, PPOConfig, Preset, StageConfig
 from agents.rolling import Followed, choose_clips, evaluation_sim, follow
@@ -30,16 +28,18 @@ from agents.run_folder import (
     refuse_existing,
     start_run,
 )
-from agents.spec import Layout, initial_gains, noise_by_joint
 from agents.stage import Budget, Stage, Stopper
 from envs import QuestVecEnv
 from envs.config import EnvConfig
+from envs.pushes import Pushes
+from envs.randomisation import Randomisation
 from envs.terrain import terrain_named
 from questsim.errors import InputError, at_least
 from questsim.motion.clip import Clip
-from questsim.skeleton import DOFS
 
 INTERRUPTED = 130
+_PAUSE_S = (1.0, 4.0)
+"""Between pushes: long enough to recover from one before the next."""
 MAY_DIFFER_ON_RESUME = {
     "minutes",
     "steps",
@@ -77,8 +77,8 @@ class TrainArgs:
     teacher: Path | None = None
     """A teacher for the student stage: a folder or a shipped name; by default the run's own."""
     start: Path | None = None
-    """A policy (a run, a stage, a shipped name) that is trained further: a teacher, or with
-    --stage finetune one of the same sensors."""
+    """A teacher, by folder or shipped name, whose weights the teacher begins with; with --stage
+    student or finetune, a policy (a run, a stage, a shipped name) that is trained further."""
     sensors: str = "H+2C"
     """What the policy sees of the user."""
     future_frames: int = 6
@@ -88,8 +88,13 @@ class TrainArgs:
     mirrored: bool = False
     """Learn every clip mirrored as well."""
     env: str | None = None
-    """Ground to learn on: rough, slope, stairs, course, ..., or rough:amplitude_m=0.06; flat by
-    default. With --start, or --stage finetune in a copy of a run, a policy goes on there."""
+    """Ground to learn on: rough, slope, stairs, course, mixed (flat, rough and sloping), ..., or
+    rough:amplitude_m=0.06; flat by default. With --start a policy goes on there."""
+    pushes: tuple[float, float] | None = None
+    """Push the avatars every 1 to 4 s for 0.2 s at the chest, with this least and greatest force in
+    newtons, in any direction."""
+    randomisation: Randomisation = field(default_factory=Randomisation)
+    """What differs between the simulations."""
     hold_out: str = ""
     """Styles, joined by commas, that are not learnt from but evaluated on."""
     envs: int | None = None
@@ -171,8 +176,6 @@ def _stage_names(args: TrainArgs, preset: Preset) -> list[str]:
             "--stage",
             f"it has {', '.join(preset.stages)}",
         )
-    if args.start is not None and args.stage in ("student", "ppo"):
-        raise InputError(f"does not apply to --stage {args.stage}", "--start", "leave it out")
     return [args.stage]
 
 
@@ -245,6 +248,8 @@ def _env_config(args: TrainArgs, preset: Preset, config: StageConfig) -> EnvConf
         sampling=config.sampling,
         max_error_m=config.max_error_m,
         terrain=None if args.env is None else terrain_named(args.env, "--env"),
+        pushes=None if args.pushes is None else Pushes(args.pushes, pause_s=_PAUSE_S),
+        randomisation=None if args.randomisation == Randomisation() else args.randomisation,
     )
 
 
@@ -293,119 +298,3 @@ def _schedule(config: StageConfig, learner: Learner) -> Any:
         ppo.actor_frozen = steps < warmup
 
     return partial(freeze, learner) if warmup else None
-
-
-def make_learner(
-    name: str, args: TrainArgs, config: StageConfig, env: QuestVecEnv, seed: int
-) -> Learner:
-    """What learns in a stage, before its first step.
-
-    Args:
-        name: of the stage.
-        args: options of the training; where teacher, student and start are looked for.
-        config: of the stage.
-        env: what it learns in.
-        seed: of everything that is random in it.
-
-    Raises:
-        InputError: a policy that it builds on is not there or does not fit.
-    """
-    if isinstance(config.learning, DaggerConfig):
-        return _student(args, config, config.learning, env, seed)
-    learner = make_ppo(config, config.learning, env, seed, args.threads)
-    if name == "teacher" and args.start is not None:
-        _begin_with(learner.policy, args.start)
-    if name == "finetune":
-        where = args.start or args.out / "student"
-        start = load_policy(find_policy(where))
-        start.bind(env)
-        copy_actor(start.policy, learner.policy, where)
-        noise = noise_by_joint(
-            DOFS, config.learning.noise_legs_and_trunk, config.learning.noise_arms_and_neck
-        )
-        learner.policy.log_std.data.copy_(torch.as_tensor(np.log(noise)))
-    return learner
-
-
-def make_ppo(
-    config: StageConfig, ppo: PPOConfig, env: QuestVecEnv, seed: int, threads: int = 1
-) -> AdaptivePPO:
-    """PPO with a fresh policy for ``env``."""
-    noise = noise_by_joint(DOFS, ppo.noise_legs_and_trunk, ppo.noise_arms_and_neck)
-    return AdaptivePPO(
-        TorquePolicy,
-        env,
-        desired_kl=ppo.desired_kl,
-        final_kl=ppo.final_kl,
-        reward_scale=ppo.reward_scale,
-        bfloat16=ppo.bfloat16,
-        threads=threads,
-        learning_rate=ppo.learning_rate,
-        n_steps=ppo.rollout_steps,
-        batch_size=min(ppo.minibatch, ppo.rollout_steps * env.num_envs),
-        n_epochs=ppo.epochs,
-        gamma=ppo.gamma,
-        gae_lambda=ppo.gae_lambda,
-        clip_range=ppo.clip,
-        vf_coef=1.0,
-        max_grad_norm=ppo.max_grad_norm,
-        seed=seed,
-        policy_kwargs={
-            "spec": config.policy,
-            "layout": Layout.of(env.layout),
-            "gains": initial_gains(env.torque_limits, env.damping),
-            "noise": noise,
-            "learn_noise": ppo.learn_noise,
-            "critic_learning_rate": ppo.critic_learning_rate,
-        },
-    )
-
-
-def _student(
-    args: TrainArgs, config: StageConfig, learning: DaggerConfig, env: QuestVecEnv, seed: int
-) -> Dagger:
-    where = args.teacher or args.out / "teacher"
-    teacher = load_policy(find_policy(where))
-    if not teacher.needs.privileged:
-        raise InputError("is no teacher: it does not read the reference", where, "use --teacher")
-    teacher.bind(env)
-    sparse = Layout.of(env.layout).within(config.policy.actor_blocks)
-    student = new_policy(config.policy, sparse, learning.learning_rate)
-    if student.head is not None and teacher.policy.head is not None:
-        # The stiffness that the teacher found is a good start for what imitates it.
-        student.head.load_state_dict(teacher.policy.head.state_dict())
-    student.log_std.data.copy_(teacher.policy.log_std.data)
-    return Dagger(env, teacher, student, learning, seed, args.threads)
-
-
-def _begin_with(policy: TorquePolicy, teacher: Path) -> None:
-    """Take the networks, critic included, and normalisers of another teacher.
-
-    Raises:
-        InputError: there is none, or its networks differ.
-    """
-    folder = find_policy(teacher)
-    source = load_policy(folder).policy
-    copy_actor(source, policy, teacher)
-    load_critic(folder, policy)
-
-
-def copy_actor(source: TorquePolicy, target: TorquePolicy, where: Path) -> None:
-    """Give ``target`` the networks, normaliser and gains of a policy without critic.
-
-    Args:
-        source: the policy.
-        target: keeps its own critic.
-        where: ``source`` is from, for the message.
-
-    Raises:
-        InputError: if their networks differ.
-    """
-    state = {k: v for k, v in source.state_dict().items() if not k.startswith("critic.")}
-    try:
-        missing, unexpected = target.load_state_dict(state, strict=False)
-        fits = not unexpected and all(name.startswith("critic.") for name in missing)
-    except RuntimeError:  # other sizes
-        fits = False
-    if not fits:
-        raise InputError("has other networks than this preset and stage", where, "see --start")

@@ -242,6 +242,7 @@ ENVIRONMENTS: dict[str, dict[str, Any]] = {
     "QuestSimSteps-v0": {"terrain": "steps"},
     "QuestSimGaps-v0": {"terrain": "gaps"},
     "QuestSimCourse-v0": {"terrain": "course"},
+    "QuestSimMixed-v0": {"terrain": "mixed"},
 }
 """Ids and the options in which each differs from the defaults of ``EnvConfig``."""
 

@@ -88,10 +88,10 @@ class Placement:
         ratio = self._ratio[ids]
         room = 0.5 * np.array(field.size) - MARGIN_M - (self._radius[clips] * ratio)[:, None]
         if terrain.kind == COURSE:
-            shape = np.array([len(terrain.tiles), terrain.levels])
-            self.tile[ids] = np.minimum((numbers[:, 1:3] * shape).astype(np.int64), shape - 1)
+            self.tile[ids] = _tiles(terrain, numbers[:, 1:3])
             middle = tile_centre(terrain, self.tile[ids, 0], self.tile[ids, 1])
-            middle = np.clip(middle + 2.0 * numbers[:, 3:5] - 1.0, -room, room)
+            spread = terrain.spread_m
+            middle = np.clip(middle + 2.0 * spread * numbers[:, 3:5] - spread, -room, room)
         else:
             middle = (2.0 * numbers[:, 3:5] - 1.0) * room
         offset = self._middle[clips] * ratio[:, None]
@@ -111,6 +111,19 @@ class Placement:
         """Take up what ``get_state`` gave."""
         self._chance.set_state(state["rng"])
         self.place[:], self.tile[:] = state["place"], state["tile"]
+
+
+def _tiles(terrain: Terrain, numbers: np.ndarray) -> np.ndarray:
+    """Column and level ``(m, 2)`` of a course for numbers ``(m, 2)`` in [0, 1)."""
+    shape = np.array([len(terrain.tiles), terrain.levels])
+    share, numbers = terrain.flat_share, numbers.copy()
+    flat = numbers[:, 0] < share
+    if share > 0.0:
+        # What is left of [0, 1) beyond the share is spread evenly over the columns of tiles.
+        numbers[:, 0] = np.maximum(numbers[:, 0] - share, 0.0) / max(1.0 - share, 1e-9)
+    tiles = np.minimum((numbers * shape).astype(np.int64), shape - 1)
+    tiles[:, 0] = np.where(flat, 0, tiles[:, 0] + len(terrain.columns) - len(terrain.tiles))
+    return tiles
 
 
 def _path(reference: Reference, clip: int) -> tuple[np.ndarray, float, float]:

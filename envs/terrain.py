@@ -15,7 +15,7 @@ COURSE = "course"
 DIRECTIONS = ("any", "up", "down", "across")
 MARGIN_M = 1.5
 """Clips keep this far from the edge."""
-_FINE_M, _SLOPE_CELL_M = 0.1, 1.0
+_FINE_M, _SLOPE_CELL_M, _COURSE_CELL_M = 0.1, 1.0, 0.25
 _SEAM_M = 1.0
 """Tiles of a course sink to the floor over this distance at their edges."""
 
@@ -30,6 +30,8 @@ RANGES: dict[str, tuple[float, float]] = {
     "difficulty": (0.0, 1.0),
     "levels": (1, 10),
     "tile_m": (4.0, 40.0),
+    "spread_m": (0.0, 20.0),
+    "flat_share": (0.0, 1.0),
     "size_m": (8.0, 200.0),
     "seed": (0, 2**32 - 1),
 }
@@ -53,9 +55,11 @@ class Terrain:
         direction: how clips travel: ``"up"`` along x (over stairs and gaps), ``"down"`` against it,
             ``"across"`` along y, or ``"any"``, which is drawn for each episode.
         difficulty: factor on amplitude, steepness, step height and gap width.
-        tiles: kinds of a course's columns.
-        levels: rows of a course; row ``i`` has difficulty ``(i + 1) / levels``.
+        tiles: kinds of a course's columns, with options if wanted: ``"rough:amplitude_m=0.08"``.
+        levels: rows of a course; row ``i`` has ``(i + 1) / levels`` of the difficulty.
         tile_m: edge of a course's tiles.
+        spread_m: how far from the middle of its tile, along x and along y, a clip may be played.
+        flat_share: share of episodes on level floor beside the course's tiles.
         size_m: edge of the ground, of every kind but a course.
         seed: of its random numbers; same seed, same bits.
 
@@ -76,6 +80,8 @@ class Terrain:
     tiles: tuple[str, ...] = ("rough", "waves", "slope", "stairs", "steps", "gaps")
     levels: int = 4
     tile_m: float = 8.0
+    spread_m: float = 1.0
+    flat_share: float = 0.0
     size_m: float = 48.0
     seed: int = 0
 
@@ -84,7 +90,7 @@ class Terrain:
             # Looked up now, not once: who adds a shape has a kind.
             ("kind", self.kind, (*SHAPES, COURSE)),
             ("direction", self.direction, DIRECTIONS),
-            *(("tile", tile, tuple(SHAPES)) for tile in self.tiles),
+            *(("tile", tile.partition(":")[0], tuple(SHAPES)) for tile in self.tiles),
         ):
             if value not in known:
                 raise InputError(
@@ -99,6 +105,9 @@ class Terrain:
         for name in ("levels", "seed"):
             if getattr(self, name) != int(getattr(self, name)):
                 raise InputError(f"{name} is {getattr(self, name)!r}, no whole number", "terrain")
+        for tile in self.tiles:
+            if ":" in tile:
+                terrain_named(tile, "tile")
 
     @property
     def scaled(self) -> Terrain:
@@ -116,6 +125,9 @@ class Terrain:
     @property
     def cell_m(self) -> float:
         """Distance of grid points: as coarse as the shape allows, since small cells are slow."""
+        if self.kind == COURSE:
+            finest = min(_COURSE_CELL_M, *(terrain_named(tile).cell_m for tile in self.tiles))
+            return self.tile_m / round(self.tile_m / finest)
         if self.kind == "slope":
             return _SLOPE_CELL_M
         if self.kind == "rough":
@@ -123,6 +135,14 @@ class Terrain:
         if self.kind in ("waves", "flat"):
             return max(_FINE_M, self.wavelength_m / 8.0)
         return _FINE_M
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Kinds of a course's columns along x, the level ones that ``flat_share`` asks for first.
+
+        There are two, so that a clip in the first stays away from the tiles.
+        """
+        return ("flat", "flat", *self.tiles) if self.flat_share > 0.0 else self.tiles
 
 
 TERRAINS: dict[str, Terrain] = {
@@ -135,7 +155,7 @@ TERRAINS: dict[str, Terrain] = {
     "gaps": Terrain("gaps", direction="up"),
     "course": Terrain("course"),
 }
-"""A terrain of each kind, by name: what ``QuestSimRough-v0`` and ``train.py --env rough`` use."""
+"""Terrains by name: what ``QuestSimRough-v0`` and ``train.py --env rough`` use."""
 
 
 def terrain_named(text: str, where: str = "terrain") -> Terrain:
@@ -165,6 +185,16 @@ def terrain_named(text: str, where: str = "terrain") -> Terrain:
     return replace(TERRAINS[name], **changes)
 
 
+# Down here because its tiles are terrains with options: the worlds table's, and milder ones.
+TERRAINS["mixed"] = Terrain(
+    COURSE,
+    tiles=("rough:amplitude_m=0.08", "slope:slope_deg=8"),
+    tile_m=16.0,
+    spread_m=7.0,
+    flat_share=0.4,
+)
+
+
 @lru_cache(maxsize=32)
 def height_field(terrain: Terrain) -> HeightField:
     """The ground itself; made once for each terrain, do not write to it."""
@@ -188,26 +218,27 @@ def _shape(
 
 def tile_centre(terrain: Terrain, column: np.ndarray, level: np.ndarray) -> np.ndarray:
     """Middle of a course's tiles ``(..., 2)`` in metres."""
-    across = (len(terrain.tiles) - 1) / 2.0
+    across = (len(terrain.columns) - 1) / 2.0
     along = (terrain.levels - 1) / 2.0
     return terrain.tile_m * np.stack([column - across, level - along], axis=-1)
 
 
 def _course(terrain: Terrain) -> HeightField:
     """Tiles of every kind and level, which meet at the height of the floor, and floor around."""
-    cell, tile = _FINE_M, terrain.tile_m
+    cell, tile = terrain.cell_m, terrain.tile_m
     inner = np.linspace(-0.5 * tile, 0.5 * tile, round(tile / cell) + 1)
     x, y = np.meshgrid(inner, inner)
     rim = np.clip((0.5 * tile - np.maximum(abs(x), abs(y))) / _SEAM_M, 0.0, 1.0)
-    shape = (terrain.levels, len(terrain.tiles))
+    shape = (terrain.levels, len(terrain.columns))
     steps = len(inner) - 1
     border = round(tile / cell)
     grid = np.zeros([count * steps + 1 + 2 * border for count in shape])
     carved = grid.copy()
     for level in range(shape[0]):
-        for column, kind in enumerate(terrain.tiles):
+        for column, kind in enumerate(terrain.columns):
             rng = np.random.default_rng([terrain.seed, level, column])
-            height, cut = _tile(kind, (level + 1) / terrain.levels, x, y, rim, rng)
+            difficulty = terrain.difficulty * (level + 1) / terrain.levels
+            height, cut = _tile(kind, difficulty, x, y, rim, rng)
             rows = slice(border + level * steps, border + (level + 1) * steps + 1)
             columns = slice(border + column * steps, border + (column + 1) * steps + 1)
             grid[rows, columns] = height
@@ -224,13 +255,14 @@ def _tile(
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Heights of a tile with and without gaps, zero at its edge."""
-    terrain = replace(TERRAINS[kind], difficulty=difficulty).scaled
-    if kind in ("slope", "stairs"):
+    terrain = terrain_named(kind)
+    terrain = replace(terrain, difficulty=terrain.difficulty * difficulty).scaled
+    if terrain.kind in ("slope", "stairs"):
         # From the edge up to the middle, whichever way one comes.
         inward = 0.5 * (x.max() - x.min()) - np.maximum(abs(x), abs(y)) - _SEAM_M
         most = 0.5 * (x.max() - x.min()) - _SEAM_M - 1.0
         inward = np.clip(inward, 0.0, most)
-        if kind == "stairs":
+        if terrain.kind == "stairs":
             rise = np.floor(inward / terrain.step_depth_m + 1e-9) * terrain.step_height_m
         else:
             rise = np.tan(np.deg2rad(terrain.slope_deg)) * inward

@@ -36,7 +36,7 @@ INTERRUPTED = 130
 MAY_DIFFER_ON_RESUME = {"minutes", "steps", "resume", "threads", "out", "set"}
 NOT_OURS = (
     "stage", "teacher", "start", "sensors", "future_frames", "heights", "mirrored", "hold_out",
-    "envs",
+    "envs", "env", "pushes", "randomisation",
 )  # fmt: skip
 """Options of the torque policies' training alone."""
 

@@ -26,7 +26,7 @@ from questsim.viewing.live import ROUGHNESS, SPEEDS, Choices, Part, Settings, Sn
 AFTER_FALL_S, AFTER_END_S = 2.0, 0.7
 """How long an episode that is over goes on before the clip begins again."""
 
-GROUNDS = tuple(name for name in TERRAINS if name != COURSE)
+GROUNDS = tuple(name for name, terrain in TERRAINS.items() if terrain.kind != COURSE)
 """A course's tiles are smaller than many clips' paths."""
 
 SEEN_M = 14.0
