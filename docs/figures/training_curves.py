@@ -1,7 +1,9 @@
 """Draws how teachers and students learnt, from the tables beside this file.
 
     python docs/figures/training_curves.py  # into docs/images
-    python docs/figures/training_curves.py --add NAME runs/RUN/STAGE  # takes in a curve first
+    python docs/figures/training_curves.py --add NAME runs/RUN/STAGE [STEPS]  # adds a curve first
+
+STEPS are those of the training that this one began with.
 
 `curves.csv` has a row for every evaluation of a training on its fixed clips.
 """
@@ -17,15 +19,21 @@ import matplotlib.pyplot as plt
 HERE = Path(__file__).parent
 TABLE, IMAGES = HERE / "curves.csv", HERE.parent / "images"
 COLUMNS = ("curve", "steps", "tracked", "link_error_cm", "score")
-FIGURES = {
+FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
     "training-teacher.png": (
         "springs of 100 c",
         "springs of 50 c, orientations rewarded",
         "and torques of the motion",
         "and errors of the links",
     ),
+    "training-shipped.png": (
+        ("and errors of the links", "from nothing, flat"),
+        "goes on, flat",
+        "goes on, mixed ground and pushes",
+    ),
     "training-students.png": ("student H+2C", "student H", "student H+2C, no future frames"),
 }
+"""The curves of each picture; a pair is a curve and what it is called there."""
 
 
 def read() -> dict[str, list[dict[str, str]]]:
@@ -38,13 +46,20 @@ def read() -> dict[str, list[dict[str, str]]]:
     return curves
 
 
-def add(curve: str, stage: Path) -> None:
-    """Take the evaluations of a stage's last checkpoint into the table."""
+def add(curve: str, stage: Path, before: int = 0) -> None:
+    """Take the evaluations of a stage's last checkpoint into the table.
+
+    Args:
+        curve: its name.
+        stage: the stage's folder.
+        before: steps of the training that it began with.
+    """
     from agents.checkpoint import load_resume
 
     curves = read()
     history = load_resume(stage / "last")["history"]
     names = COLUMNS[1:]
+    history = [row | {"steps": row["steps"] + before} for row in history]
     curves[curve] = [{"curve": curve} | {n: f"{row[n]:g}" for n in names} for row in history]
     with TABLE.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
@@ -57,10 +72,11 @@ def draw(curves: dict[str, list[dict[str, str]]]) -> None:
     for name, members in FIGURES.items():
         figure, axes = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained")
         for member in members:
-            rows = curves.get(member, [])
+            curve, label = (member, member) if isinstance(member, str) else member
+            rows = curves.get(curve, [])
             steps = [float(row["steps"]) / 1e6 for row in rows]
-            axes[0].plot(steps, [100 * float(r["tracked"]) for r in rows], label=member)
-            axes[1].plot(steps, [float(r["link_error_cm"]) for r in rows], label=member)
+            axes[0].plot(steps, [100 * float(r["tracked"]) for r in rows], label=label)
+            axes[1].plot(steps, [float(r["link_error_cm"]) for r in rows], label=label)
         axes[0].set(xlabel="steps (M)", ylabel="clips tracked (%)", ylim=(0, 100))
         axes[1].set(xlabel="steps (M)", ylabel="mean link error (cm)")
         axes[1].set_ylim(bottom=0)
@@ -74,5 +90,5 @@ def draw(curves: dict[str, list[dict[str, str]]]) -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--add"]:
-        add(sys.argv[2], Path(sys.argv[3]))
+        add(sys.argv[2], Path(sys.argv[3]), *map(int, sys.argv[4:]))
     draw(read())
