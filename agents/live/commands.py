@@ -35,48 +35,12 @@ MOST_CLIPS = 80
 """More would make the list of clips on the page too long to choose from."""
 
 
-@dataclass(frozen=True)
-class DemoArgs:
-    """Watch a shipped policy follow a user, in a browser or on video."""
+@dataclass(frozen=True, kw_only=True)
+class WatchArgs:
+    """What every page can be told to begin with, and where it is."""
 
-    agent: str = "questsim"
-    """To begin with: a shipped policy's name, a run folder, a policy folder, zero or random."""
-    motions: str = "synthetic"
-    """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
     clip: str | None = None
     """The clip to begin with; by default a walk, or the first of the motions."""
-    terrain: str = "rough"
-    """The ground: flat, rough, waves, slope, stairs, steps or gaps."""
-    roughness: float = 0.5
-    """Multiplies the terrain's relief: 1 is ±4 cm on rough ground, slopes of 8 degrees."""
-    thing: str = "none"
-    """An object in the way: ball, box, hurdle or chair."""
-    height: float = DEFAULT_HEIGHT_M
-    """Stature of user and avatar in metres."""
-    host: str = LOOPBACK
-    """Where to listen; anything else than the default lets others watch and control."""
-    port: int = DEFAULT_PORT
-    """The page's port; 0 takes any free one."""
-    video: Path | None = None
-    """Write this MP4 or GIF instead of serving a page."""
-    seconds: float = 15.0
-    """Length of the video."""
-    push: float = 40.0
-    """Force in newtons of the pushes in the video; 0 for none."""
-    seed: int = 0
-    """Of the embedded motions."""
-
-
-@dataclass(frozen=True)
-class PlayArgs:
-    """Watch the newest policy of a training, while it learns."""
-
-    run: Annotated[Path, tyro.conf.Positional]
-    """A run folder, a stage in it, or a policy folder."""
-    motions: str | None = None
-    """What to follow; by default what the run is trained on."""
-    clip: str | None = None
-    """The clip to begin with; by default the first."""
     terrain: str = "flat"
     """The ground: flat, rough, waves, slope, stairs, steps or gaps."""
     roughness: float = 1.0
@@ -89,6 +53,38 @@ class PlayArgs:
     """Where to listen; anything else than the default lets others watch and control."""
     port: int = DEFAULT_PORT
     """The page's port; 0 takes any free one."""
+
+
+@dataclass(frozen=True)
+class DemoArgs(WatchArgs):
+    """Watch a shipped policy follow a user, in a browser or on video."""
+
+    agent: str = "questsim"
+    """To begin with: a shipped policy's name, a run folder, a policy folder, zero or random."""
+    motions: str = "synthetic"
+    """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
+    terrain: str = "rough"
+    """The ground: flat, rough, waves, slope, stairs, steps or gaps."""
+    roughness: float = 0.5
+    """Multiplies the terrain's relief: 1 is ±4 cm on rough ground, slopes of 8 degrees."""
+    video: Path | None = None
+    """Write this MP4 or GIF instead of serving a page."""
+    seconds: float = 15.0
+    """Length of the video."""
+    push: float = 40.0
+    """Force in newtons of the pushes in the video; 0 for none."""
+    seed: int = 0
+    """Of the embedded motions."""
+
+
+@dataclass(frozen=True)
+class PlayArgs(WatchArgs):
+    """Watch the newest policy of a training, while it learns."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """A run folder, a stage in it, or a policy folder."""
+    motions: str | None = None
+    """What to follow; by default what the run is trained on."""
 
 
 def demo(args: DemoArgs) -> None:
@@ -123,15 +119,7 @@ def play(args: PlayArgs) -> None:
     with Page(args.host, args.port, f"QuestSim {name}") as page:
         _announce(page)
         clips = _clips(args.motions or _trained_on(driver), args.clip)
-        settings = Settings(
-            clip=args.clip or clips[0].name,
-            agent=name,
-            sensors="",
-            terrain=args.terrain,
-            roughness=args.roughness,
-            thing=args.thing,
-            height_m=args.height,
-        )
+        settings = _settings(args, clips, name)
         session = DemoSession(clips, {name: lambda: driver, **available_drivers()}, settings)
         session.note = note
         with Watcher(args.run, name, session, checkpoint):
@@ -163,17 +151,21 @@ def demo_session(args: DemoArgs) -> DemoSession:
     """A session with the shipped policies, the baselines and one agent more, if it is another."""
     drivers = available_drivers(args.agent)
     clips = _clips(args.motions, args.clip, args.seed)
+    return DemoSession(clips, drivers, _settings(args, clips, args.agent))
+
+
+def _settings(args: WatchArgs, clips: Sequence[Clip], agent: str) -> Settings:
+    """What a session begins with."""
     names = [clip.name for clip in clips]
-    settings = Settings(
+    return Settings(
         clip=args.clip or (FIRST_CLIP if FIRST_CLIP in names else names[0]),
-        agent=args.agent,
+        agent=agent,
         sensors="",  # the agent's own
         terrain=args.terrain,
         roughness=args.roughness,
         thing=args.thing,
         height_m=args.height,
     )
-    return DemoSession(clips, drivers, settings)
 
 
 def _clips(motions: str, wanted: str | None, seed: int = 0) -> Sequence[Clip]:
