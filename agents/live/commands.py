@@ -18,13 +18,14 @@ from agents.checkpoint import CARD_FILE, SHIPPED
 from agents.live.drivers import Driver, TorqueDriver
 from agents.live.recording import record
 from agents.live.runner import Runner
-from agents.live.session import DemoSession
+from agents.live.session import NOTHING, DemoSession
 from agents.live.watcher import Watcher, load_checkpoint, newest_checkpoint
 from agents.rolling import choose_clips
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError, at_least
 from questsim.evaluation_report import check_writable
 from questsim.motion.clip import Clip
+from questsim.motion.synthetic import SEATED
 from questsim.viewing.live import Settings
 from questsim.viewing.page import Page
 from questsim.viewing.page_server import DEFAULT_PORT, LOOPBACK
@@ -45,8 +46,9 @@ class WatchArgs:
     """The ground: flat, rough, waves, slope, stairs, steps or gaps."""
     roughness: float = 1.0
     """Multiplies the terrain's relief: 1 is ±4 cm on rough ground, slopes of 8 degrees."""
-    thing: str = "none"
-    """An object in the way: ball, box, hurdle or chair."""
+    thing: str | None = None
+    """An object in the way: none, ball, box, hurdle or chair; by default a chair where a clip
+    that is seated sits, and none for others."""
     height: float = DEFAULT_HEIGHT_M
     """Stature of user and avatar in metres."""
     host: str = LOOPBACK
@@ -111,6 +113,8 @@ def play(args: PlayArgs) -> None:
         InputError: there is no policy in the folder yet, or an argument cannot be used.
     """
     torch.set_num_threads(1)
+    if not args.run.is_dir():
+        raise InputError("there is no such folder", args.run, "name the --out of a training")
     checkpoint = newest_checkpoint(args.run)
     if checkpoint is None:
         raise InputError("has no policy yet", args.run, "wait for its first checkpoint")
@@ -156,14 +160,16 @@ def demo_session(args: DemoArgs) -> DemoSession:
 
 def _settings(args: WatchArgs, clips: Sequence[Clip], agent: str) -> Settings:
     """What a session begins with."""
-    names = [clip.name for clip in clips]
+    kinds = {clip.name: clip.kind for clip in clips}
+    first = args.clip or (FIRST_CLIP if FIRST_CLIP in kinds else next(iter(kinds)))
+    needed = "chair" if kinds.get(first) in SEATED else NOTHING
     return Settings(
-        clip=args.clip or (FIRST_CLIP if FIRST_CLIP in names else names[0]),
+        clip=first,
         agent=agent,
         sensors="",  # the agent's own
         terrain=args.terrain,
         roughness=args.roughness,
-        thing=args.thing,
+        thing=args.thing or needed,
         height_m=args.height,
     )
 
