@@ -198,6 +198,8 @@ def find_policy(path_or_name: str | Path) -> Path:
     Raises:
         InputError: if there is none; it lists the shipped names.
     """
+    if not str(path_or_name):
+        raise InputError("an empty name names no agent", fix="give a policy's folder or name")
     path = Path(path_or_name)
     if (path / CARD_FILE).exists():
         return path

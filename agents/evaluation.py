@@ -77,8 +77,6 @@ def evaluate(args: EvaluateArgs) -> int:
         from agents.comparison import compare
 
         return compare(args.agents, args.motions, args.out, args.max_clips, args.threads, args.seed)
-    if not args.agent:
-        raise InputError("names no agent", "--agent", "give a policy, or --compare --agents ...")
     at_least(1, threads=args.threads, max_clips=args.max_clips)
     at_least(0, seed=args.seed)
     if args.video and args.out is None:
@@ -108,7 +106,7 @@ def evaluate(args: EvaluateArgs) -> int:
     if args.out is None:
         print(format_table(score(rollouts)))
         return 0
-    context = _context(args, agent, clips, config)
+    context = evaluation_context(args.agent, agent, args.motions, clips, config, args.threads)
     print(format_table(write_report(rollouts, args.out, context)))
     print(f"written to {args.out}")
     if args.video:
@@ -116,17 +114,26 @@ def evaluate(args: EvaluateArgs) -> int:
     return 0
 
 
-def _context(
-    args: EvaluateArgs, agent: Agent, clips: Sequence[Clip], config: EnvConfig
+def evaluation_context(
+    name: str, agent: Agent, motions: str, clips: Sequence[Clip], config: EnvConfig, threads: int
 ) -> dict[str, Any]:
-    """What was evaluated, for the report."""
+    """What was evaluated, for the report.
+
+    Args:
+        name: of the agent, as it was given.
+        agent: itself.
+        motions: the motion argument of ``clips``.
+        clips: what was followed.
+        config: where.
+        threads: of physics and networks.
+    """
     return {
-        "agent": args.agent,
+        "agent": name,
         "training": agent.card.get("training", {}) if isinstance(agent, PolicyAgent) else {},
         "config": config,
-        "data": data_record(args.motions, clips),
+        "data": data_record(motions, clips),
         "versions": versions(),
-        "threads": args.threads,
+        "threads": threads,
     }
 
 
@@ -145,7 +152,8 @@ def _worlds(args: EvaluateArgs, agent: Agent, clips: Sequence[Clip], config: Env
     assert args.out is not None
     table = run_worlds(agent, clips, config, args.threads, args.max_clips, args.seed)
     print(format_worlds(table))
-    print(f"written to {write_worlds(table, args.out, _context(args, agent, clips, config))}")
+    context = evaluation_context(args.agent, agent, args.motions, clips, config, args.threads)
+    print(f"written to {write_worlds(table, args.out, context)}")
     return 0
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from math import ceil
 from pathlib import Path
@@ -146,34 +146,49 @@ def _training(folder: Path) -> dict[str, Any]:
     return training
 
 
-def commands(parts: list[StagePart]) -> list[str]:
+def commands(parts: Sequence[StagePart]) -> list[str]:
     """The command lines that train alike, one a stage.
 
-    A run is called ``runs/NAME``, whatever its folder was; another run's teacher is in
-    ``runs/TEACHER``.
+    The run is called ``runs/NAME``, whatever its folder was; another run's teacher is in
+    ``runs/TEACHER``; a shipped policy has its own name.
     """
-    own, lines, begun = parts[-1].run, [], set()
+    names, lines, begun = _run_names(parts), [], set()
     for part in parts:
         if part.command is not None:
             lines.append(part.command)
             continue
         stage, run = part.training["stage"], part.run
         words = ["--stage", stage, "--minutes", str(ceil(part.minutes))]
-        words += ["--out", "runs/NAME" if run == own else "runs/TEACHER"]
-        if run == own and parts[0].run != own and stage == "student":
-            words += ["--teacher", _teacher_name(parts[0])]
+        words += ["--out", names[run]]
+        record = read_run(run)
+        if stage == "student" and (teacher := said(record, stage, "teacher")):
+            words += ["--teacher", _called(find_teacher(teacher), names)]
+        if start := said(record, stage, "start"):
+            found = find_teacher(start) if stage == "teacher" else find_policy(start)
+            words += ["--start", _called(found, names)]
         if run in begun:
             words.append("--resume")
         begun.add(run)
-        record = read_run(run)
-        if start := said(record, stage, "start"):
-            words += ["--start", str(start)]
         lines.append(shlex.join(["python", "train.py", *_options(record["args"]), *words]))
     return lines
 
 
-def _teacher_name(part: StagePart) -> str:
-    return "runs/TEACHER" if part.command is None else part.run.name
+def _run_names(parts: Sequence[StagePart]) -> dict[Path, str]:
+    """What command lines call each run folder and each shipped policy's folder."""
+    names = {parts[-1].run: "runs/NAME"}
+    for part in reversed(parts):
+        if part.command is not None:
+            names.setdefault(part.run, part.run.name)
+        elif part.training["stage"] == "teacher" and "runs/TEACHER" not in names.values():
+            names.setdefault(part.run, "runs/TEACHER")
+        else:
+            names.setdefault(part.run, f"runs/{part.run.name}")
+    return names
+
+
+def _called(folder: Path, names: Mapping[Path, str]) -> str:
+    """What command lines call the run of a policy folder, or a shipped policy."""
+    return names[folder] if folder in names else names[run_of(folder)]
 
 
 def _options(args: Mapping[str, Any]) -> list[str]:

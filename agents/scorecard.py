@@ -13,9 +13,8 @@ from rich.console import Console
 from rich.table import Table
 
 from agents.agent import load_agent
-from agents.evaluation import env_config, roll_out
+from agents.evaluation import env_config, evaluation_context, roll_out
 from agents.rolling import choose_clips
-from agents.run_folder import data_record, versions
 from questsim.evaluation_report import LABELS, write_report
 from questsim.files import whole_file
 
@@ -118,13 +117,9 @@ def scorecard(
     for name, (spec, followed, trial) in sets.items():
         config = env_config(agents[name], height_m=trial.height_m)
         rollouts = roll_out(agents[name], followed, config, threads)
-        context = {
-            "agent": agent + trial.suffix,
-            "training": getattr(agents[name], "card", {}).get("training", {}),
-            "config": config,
-            "data": data_record(spec, followed),
-            "versions": versions(),
-        }
+        context = evaluation_context(
+            agent + trial.suffix, agents[name], spec, followed, config, threads
+        )
         figures[name] = _report(rollouts, context, out / name if out else None)
     card = {"agent": agent, "motions": motions, "rows": _rows(figures), "trials": figures}
     if out is not None:

@@ -119,6 +119,7 @@ def train(args: TrainArgs) -> int:
         return train_kinematic(args)
     at_least(1, threads=args.threads, envs=args.envs, steps=args.steps)
     at_least(0, minutes=args.minutes, seed=args.seed)
+    args = replace(args, teacher=_from_anywhere(args.teacher), start=_from_anywhere(args.start))
     preset = with_overrides(PRESETS[args.preset], args.set)
     names = _stage_names(args, preset)
     if args.resume:
@@ -150,6 +151,11 @@ def train(args: TrainArgs) -> int:
                 return INTERRUPTED
         display.say(_outcome(args.out))
     return 0
+
+
+def _from_anywhere(policy: Path | None) -> Path | None:
+    """A policy's path so that the run's record means it in any folder; names stay names."""
+    return policy.absolute() if policy is not None and policy.exists() else policy
 
 
 def _outcome(out: Path) -> str:

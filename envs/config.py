@@ -95,7 +95,9 @@ class EnvConfig:
 
 
 def config_from(options: Mapping[str, Any]) -> EnvConfig:
-    """A config of keyword options, of which ``terrain`` may be a name: ``"rough:seed=3"``.
+    """A config of keyword options, of which terrain and objects may be names.
+
+    For example ``{"terrain": "rough:seed=3", "objects": ("chair",)}``.
 
     Raises:
         InputError: an option's value cannot be used.
@@ -103,4 +105,8 @@ def config_from(options: Mapping[str, Any]) -> EnvConfig:
     options = dict(options)
     if isinstance(options.get("terrain"), str):
         options["terrain"] = terrain_named(options["terrain"])
+    if "objects" in options:
+        options["objects"] = tuple(
+            WorldObject(thing) if isinstance(thing, str) else thing for thing in options["objects"]
+        )
     return EnvConfig(**options)

@@ -13,6 +13,8 @@ from envs.placement import Placement, moved
 from envs.reference import Reference
 from questsim.heightfield import HeightField
 from questsim.motion.clip import FPS
+from questsim.motion.synth_seat import SEAT_BEHIND_M
+from questsim.motion.synthetic import SEATED
 from questsim.skeleton import NUM_DOFS
 
 CLEARANCE_M = 0.55
@@ -39,6 +41,7 @@ class Objects:
     ) -> None:
         n, count = len(qpos), len(objects)
         self._objects, self._chance = objects, chance
+        self._seats: np.ndarray | None = None
         self._qvel = qvel[:, _FIRST_QVEL:]
         self.pose = qpos[:, _FIRST_QPOS:].reshape(n, count, 7)
         self._force = sensors[:, 6:].reshape(n, count, 3)
@@ -76,6 +79,8 @@ class Objects:
                 [-travel[:, 1], travel[:, 0]], axis=-1
             )
             spot = _kept_away(spot, begin, travel)
+            if thing.kind == "chair":
+                self._under_sitters(reference, clips, place, scale, spot, travel)
             self.pose[ids, number, :2] = spot
             field = placement.field
             self.pose[ids, number, 2] = 0.0 if field is None else _on_top(field, spot)
@@ -83,6 +88,26 @@ class Objects:
             self.pose[ids, number, 3:] = np.stack(
                 [np.cos(half), 0.0 * half, 0.0 * half, np.sin(half)], axis=-1
             )
+
+    def _under_sitters(
+        self,
+        reference: Reference,
+        clips: np.ndarray,
+        place: np.ndarray,
+        scale: np.ndarray,
+        spot: np.ndarray,
+        travel: np.ndarray,
+    ) -> None:
+        """Write where chairs of seated clips stand to ``spot`` and ``travel`` ``(m, 2)``."""
+        if self._seats is None:
+            self._seats = _seat_rows(reference)
+        rows = self._seats[clips]
+        sits = np.flatnonzero(rows >= 0)
+        rows, place, scale = rows[sits], place[sits], scale[sits]
+        nowhere = np.zeros((len(sits), 2))
+        look = self._direction(nowhere, place, reference.qpos[rows, 3:7])
+        hips = moved(place, reference.qpos[rows, :3].astype(float) * scale)[:, :2]
+        spot[sits], travel[sits] = hips - SEAT_BEHIND_M * scale * look, look
 
     def seed(self, seed: int) -> None:
         """Begin the stream of places anew."""
@@ -107,6 +132,16 @@ class Objects:
         slow = np.linalg.norm(step, axis=-1, keepdims=True) < 0.05
         way = np.where(slow, look, step)
         return way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-9)
+
+
+def _seat_rows(reference: Reference) -> np.ndarray:
+    """Of each clip the row ``(C,)`` in which somebody sits; -1 for clips that are not seated."""
+    rows = np.full(len(reference.names), -1)
+    for clip, kind in enumerate(reference.kinds):
+        if kind in SEATED:
+            first, last = int(reference.start[clip]), int(reference.end[clip])
+            rows[clip] = first + reference.qpos[first:last, 2].argmin()
+    return rows
 
 
 def _kept_away(spot: np.ndarray, begin: np.ndarray, travel: np.ndarray) -> np.ndarray:

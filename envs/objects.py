@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from envs.pushes import check_range
+from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
 
 _BOX, _SPHERE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
@@ -50,7 +51,8 @@ class WorldObject:
 
     Attributes:
         kind: one of ``OBJECTS``: a football, a box of 30 x 40 x 20 cm, a hurdle
-            22 cm high, a chair.
+            22 cm high, a chair, which is as tall as the avatar asks for (its seat is at 45 cm for
+            1.75 m). In a seated clip a chair stands where the clip sits, whatever follows here.
         ahead_s: it stands where the clip is this many seconds after the episode's start, turned
             as the clip travels there; never within half a metre of where the avatar begins.
         aside_m: to the left of that place, in metres.
@@ -76,10 +78,26 @@ class WorldObject:
             raise InputError(f"mass_kg is {self.mass_kg:g}, not 0.01 to 200", "objects")
 
 
-def add_objects(spec: mujoco.MjSpec, objects: Sequence[WorldObject]) -> None:
-    """Put objects into a spec, behind the avatar, with a sensor of its force on each."""
+def _scaled(part: Part, scale: float) -> Part:
+    kind, (a, b, c), (x, y, z) = part
+    return kind, (scale * a, scale * b, scale * c), (scale * x, scale * y, scale * z)
+
+
+def add_objects(
+    spec: mujoco.MjSpec, objects: Sequence[WorldObject], height_m: float = DEFAULT_HEIGHT_M
+) -> None:
+    """Put objects into a spec, behind the avatar, with a sensor of its force on each.
+
+    Args:
+        spec: of an avatar on the ground.
+        objects: what to add.
+        height_m: the avatar's stature, which chairs are made for.
+    """
     for number, thing in enumerate(objects):
         mass, parts = _SHAPES[thing.kind]
+        if thing.kind == "chair":
+            scale = height_m / DEFAULT_HEIGHT_M
+            mass, parts = mass * scale**3, tuple(_scaled(part, scale) for part in parts)
         mass = mass if thing.mass_kg is None else thing.mass_kg
         body = spec.worldbody.add_body(name=f"object{number}", pos=[3.0 + number, 0.0, 0.0])
         body.add_freejoint(name=f"object{number}")

@@ -48,7 +48,7 @@ def _build(
         collide_with_itself(spec)
     if terrain is not None:
         height_field(terrain).replace_floor(spec)
-    add_objects(spec, objects)
+    add_objects(spec, objects, height_m)
     # Limits and damping are the avatar's, whatever is around it.
     return replace(build_body(height_m, preset, self_collision), model=spec.compile())
 

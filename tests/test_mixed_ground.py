@@ -14,7 +14,8 @@ from test_terrain import gliding_clip
 
 from agents import training
 from agents.checkpoint import load_resume
-from agents.provenance import _options, stages_behind
+from agents.provenance import _options, commands, stages_behind
+from agents.shipping import ShipArgs, ship
 from agents.training import TrainArgs, train
 from envs import BatchSim, EnvConfig, Pushes, Randomisation, Terrain
 from envs.placement import Placement
@@ -82,6 +83,42 @@ def test_a_tile_with_an_option_that_is_none_is_refused() -> None:
         Terrain("course", tiles=("rough:amplitude=1",))
     with pytest.raises(InputError, match=r"flat_share is 1\.5"):
         terrain_named("mixed:flat_share=1.5")
+
+
+def test_a_start_of_a_relative_path_is_recorded_so_that_it_means_the_same_everywhere(
+    clips, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    train(tiny(Path("t"), stage="teacher"))
+    taught = tiny(Path("s"), stage="student", teacher=Path("t"))
+    train(taught)
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    parts = stages_behind(tmp_path / "s" / "student" / "best")
+    assert [part.run for part in parts] == [tmp_path / "t", tmp_path / "s"]
+    assert commands(parts)[1].endswith("--out runs/NAME --teacher runs/TEACHER")
+    # It goes on with the path told either way, and from a record of before this was so.
+    record = yaml.safe_load((tmp_path / "s" / "run.yaml").read_text())
+    assert record["args"]["teacher"] == str(tmp_path / "t")
+    record["args"]["teacher"] = "t"
+    (tmp_path / "s" / "run.yaml").write_text(yaml.safe_dump(record))
+    for steps, teacher in ((256, Path("../t")), (384, tmp_path / "t")):
+        again = replace(taught, out=Path("../s"), teacher=teacher, steps=steps, resume=True)
+        assert train(again) == 0
+
+
+def test_a_teacher_begun_with_a_shipped_one_is_not_mistaken_for_it(
+    clips, tmp_path, monkeypatch
+) -> None:
+    weights = tmp_path / "weights"
+    monkeypatch.setattr("agents.checkpoint.SHIPPED", weights)
+    train(tiny(tmp_path / "a", stage="teacher"))
+    ship(ShipArgs(tmp_path / "a", "tracker", into=weights))
+    train(tiny(tmp_path / "b", start=Path("tracker")))
+    lines = commands(stages_behind(tmp_path / "b" / "student" / "best"))
+    assert len(lines) == 3
+    assert lines[1].endswith("--out runs/NAME --start tracker")
+    assert lines[2].endswith("--out runs/NAME --resume")
 
 
 @pytest.fixture

@@ -18,13 +18,14 @@ from agents.checkpoint import CARD_FILE, SHIPPED
 from agents.live.drivers import Driver, TorqueDriver
 from agents.live.recording import record
 from agents.live.runner import Runner
-from agents.live.session import DemoSession
+from agents.live.session import NOTHING, DemoSession
 from agents.live.watcher import Watcher, load_checkpoint, newest_checkpoint
 from agents.rolling import choose_clips
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError, at_least
 from questsim.evaluation_report import check_writable
 from questsim.motion.clip import Clip
+from questsim.motion.synthetic import SEATED
 from questsim.viewing.live import Settings
 from questsim.viewing.page import Page
 from questsim.viewing.page_server import DEFAULT_PORT, LOOPBACK
@@ -35,28 +36,39 @@ MOST_CLIPS = 80
 """More would make the list of clips on the page too long to choose from."""
 
 
-@dataclass(frozen=True)
-class DemoArgs:
-    """Watch a shipped policy follow a user, in a browser or on video."""
+@dataclass(frozen=True, kw_only=True)
+class WatchArgs:
+    """What every page can be told to begin with, and where it is."""
 
-    agent: str = "questsim"
-    """To begin with: a shipped policy's name, a run folder, a policy folder, zero or random."""
-    motions: str = "synthetic"
-    """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
     clip: str | None = None
     """The clip to begin with; by default a walk, or the first of the motions."""
-    terrain: str = "rough"
+    terrain: str = "flat"
     """The ground: flat, rough, waves, slope, stairs, steps or gaps."""
-    roughness: float = 0.5
+    roughness: float = 1.0
     """Multiplies the terrain's relief: 1 is ±4 cm on rough ground, slopes of 8 degrees."""
-    thing: str = "none"
-    """An object in the way: ball, box, hurdle or chair."""
+    thing: str | None = None
+    """An object in the way: none, ball, box, hurdle or chair; by default a chair where a clip
+    that is seated sits, and none for others."""
     height: float = DEFAULT_HEIGHT_M
     """Stature of user and avatar in metres."""
     host: str = LOOPBACK
     """Where to listen; anything else than the default lets others watch and control."""
     port: int = DEFAULT_PORT
     """The page's port; 0 takes any free one."""
+
+
+@dataclass(frozen=True)
+class DemoArgs(WatchArgs):
+    """Watch a shipped policy follow a user, in a browser or on video."""
+
+    agent: str = "questsim"
+    """To begin with: a shipped policy's name, a run folder, a policy folder, zero or random."""
+    motions: str = "synthetic"
+    """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
+    terrain: str = "rough"
+    """The ground: flat, rough, waves, slope, stairs, steps or gaps."""
+    roughness: float = 0.5
+    """Multiplies the terrain's relief: 1 is ±4 cm on rough ground, slopes of 8 degrees."""
     video: Path | None = None
     """Write this MP4 or GIF instead of serving a page."""
     seconds: float = 15.0
@@ -68,27 +80,13 @@ class DemoArgs:
 
 
 @dataclass(frozen=True)
-class PlayArgs:
+class PlayArgs(WatchArgs):
     """Watch the newest policy of a training, while it learns."""
 
     run: Annotated[Path, tyro.conf.Positional]
     """A run folder, a stage in it, or a policy folder."""
     motions: str | None = None
     """What to follow; by default what the run is trained on."""
-    clip: str | None = None
-    """The clip to begin with; by default the first."""
-    terrain: str = "flat"
-    """The ground: flat, rough, waves, slope, stairs, steps or gaps."""
-    roughness: float = 1.0
-    """Multiplies the terrain's relief: 1 is ±4 cm on rough ground, slopes of 8 degrees."""
-    thing: str = "none"
-    """An object in the way: ball, box, hurdle or chair."""
-    height: float = DEFAULT_HEIGHT_M
-    """Stature of user and avatar in metres."""
-    host: str = LOOPBACK
-    """Where to listen; anything else than the default lets others watch and control."""
-    port: int = DEFAULT_PORT
-    """The page's port; 0 takes any free one."""
 
 
 def demo(args: DemoArgs) -> None:
@@ -115,6 +113,8 @@ def play(args: PlayArgs) -> None:
         InputError: there is no policy in the folder yet, or an argument cannot be used.
     """
     torch.set_num_threads(1)
+    if not args.run.is_dir():
+        raise InputError("there is no such folder", args.run, "name the --out of a training")
     checkpoint = newest_checkpoint(args.run)
     if checkpoint is None:
         raise InputError("has no policy yet", args.run, "wait for its first checkpoint")
@@ -123,15 +123,7 @@ def play(args: PlayArgs) -> None:
     with Page(args.host, args.port, f"QuestSim {name}") as page:
         _announce(page)
         clips = _clips(args.motions or _trained_on(driver), args.clip)
-        settings = Settings(
-            clip=args.clip or clips[0].name,
-            agent=name,
-            sensors="",
-            terrain=args.terrain,
-            roughness=args.roughness,
-            thing=args.thing,
-            height_m=args.height,
-        )
+        settings = _settings(args, clips, name)
         session = DemoSession(clips, {name: lambda: driver, **available_drivers()}, settings)
         session.note = note
         with Watcher(args.run, name, session, checkpoint):
@@ -163,17 +155,23 @@ def demo_session(args: DemoArgs) -> DemoSession:
     """A session with the shipped policies, the baselines and one agent more, if it is another."""
     drivers = available_drivers(args.agent)
     clips = _clips(args.motions, args.clip, args.seed)
-    names = [clip.name for clip in clips]
-    settings = Settings(
-        clip=args.clip or (FIRST_CLIP if FIRST_CLIP in names else names[0]),
-        agent=args.agent,
+    return DemoSession(clips, drivers, _settings(args, clips, args.agent))
+
+
+def _settings(args: WatchArgs, clips: Sequence[Clip], agent: str) -> Settings:
+    """What a session begins with."""
+    kinds = {clip.name: clip.kind for clip in clips}
+    first = args.clip or (FIRST_CLIP if FIRST_CLIP in kinds else next(iter(kinds)))
+    needed = "chair" if kinds.get(first) in SEATED else NOTHING
+    return Settings(
+        clip=first,
+        agent=agent,
         sensors="",  # the agent's own
         terrain=args.terrain,
         roughness=args.roughness,
-        thing=args.thing,
+        thing=args.thing or needed,
         height_m=args.height,
     )
-    return DemoSession(clips, drivers, settings)
 
 
 def _clips(motions: str, wanted: str | None, seed: int = 0) -> Sequence[Clip]:

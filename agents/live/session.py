@@ -15,6 +15,7 @@ from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.objects import OBJECTS, WorldObject
 from envs.terrain import COURSE, RANGES, TERRAINS, Terrain
+from envs.world import build_world
 from questsim import rotations as rot
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
 from questsim.errors import InputError
@@ -331,7 +332,11 @@ def _config(driver: Driver, settings: Settings) -> EnvConfig:
 
 def _parts(sim: BatchSim) -> tuple[Part, ...]:
     """The shapes that the session's object is made of."""
-    model = sim.body.model
+    config = sim.config
+    model = build_world(
+        float(sim.heights[0]), config.body_preset, config.self_collision, config.terrain,
+        config.objects,
+    ).model  # fmt: skip
     body = model.body(_OBJECT)
     first, count = int(body.geomadr[0]), int(body.geomnum[0])
     return tuple(

@@ -236,16 +236,18 @@ def _is_synthetic(part: str) -> bool:
 
 def _synthetic(part: str, seed: int) -> list[Clip]:
     """``synthetic``, or of it only the kinds in ``synthetic:KIND+KIND``."""
-    from questsim.motion.synthetic import KINDS, synthetic_clips
+    from questsim.motion.synthetic import KINDS, SEATED, seated_clips, synthetic_clips
 
-    clips = synthetic_clips(seed)
     _, colon, kinds = part.partition(":")
     if not colon:
-        return clips
-    wanted = kinds.split("+")
+        return synthetic_clips(seed)
+    wanted, known = kinds.split("+"), (*KINDS, *SEATED)
     for kind in wanted:
-        if kind not in KINDS:
-            raise InputError(f"there is no kind {kind!r}", part, f"choose from {', '.join(KINDS)}")
+        if kind not in known:
+            raise InputError(f"there is no kind {kind!r}", part, f"choose from {', '.join(known)}")
+    # Each is made only if it is asked for.
+    clips = synthetic_clips(seed) if set(wanted) - set(SEATED) else []
+    clips += seated_clips(seed) if set(wanted) & set(SEATED) else []
     return [clip for clip in clips if clip.kind in wanted]
 
 

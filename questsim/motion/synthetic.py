@@ -26,6 +26,7 @@ from questsim.motion.synth_balance import jogging_height, settle, walking_height
 from questsim.motion.synth_feet import feet_paths
 from questsim.motion.synth_plan import Path, loads, plan_steps, smoothstep, standing
 from questsim.motion.synth_posture import add_gesture, idle, locomotion, sway
+from questsim.motion.synth_seat import LEAST_SECONDS, seated_poses
 
 MIN_SPEED, MAX_SPEED = 0.5, 3.5
 MAX_WALK, MIN_JOG = 2.2, 1.6
@@ -53,7 +54,9 @@ _SPEEDS: dict[str, tuple[float, float, float]] = {
 """Kinds that travel: least, usual and greatest speed in m/s at 1.75 m."""
 
 KINDS: tuple[str, ...] = ("stand", *_SPEEDS, *GESTURES)
-"""Every kind of motion that ``synthesise`` knows."""
+"""Every kind of motion that needs nothing but a floor."""
+SEATED: tuple[str, ...] = ("sit",)
+"""Kinds that need a chair, which the library of ``synthetic_clips`` is without."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,7 @@ def synthesise(
     """One clip of synthetic motion at 36 Hz, starting at the origin and facing +x.
 
     Args:
-        kind: one of ``KINDS``.
+        kind: one of ``KINDS`` or ``SEATED``.
         speed: m/s on the path; by default the kind's usual speed. Waving and raising hands are
             done walking when a speed is given.
         turn_rate: rad/s of ``turn-left`` and ``turn-right``, 0.1 to 1.5; 0.8 by default.
@@ -133,13 +136,16 @@ def _checked(
     start: bool,
     stop: bool,
 ) -> _Wish:
-    if kind not in KINDS:
-        raise InputError(
-            f"unknown kind of synthetic motion {kind!r}", fix=f"choose from {', '.join(KINDS)}"
-        )
+    if kind not in (*KINDS, *SEATED):
+        known = ", ".join((*KINDS, *SEATED))
+        raise InputError(f"unknown kind of synthetic motion {kind!r}", fix=f"choose from {known}")
     _within("height", height_m, MIN_SYNTHETIC_HEIGHT_M, MAX_SYNTHETIC_HEIGHT_M, "m")
     _within("duration", duration, MIN_SECONDS, MAX_SECONDS, "s")
     pace = float(np.sqrt(height_m / DEFAULT_HEIGHT_M))
+    if kind in SEATED:
+        _within("duration", duration, LEAST_SECONDS * pace, MAX_SECONDS, "s")
+        if start or stop:
+            raise InputError(f"{kind} begins and ends standing", fix="leave start and stop out")
     if speed is not None and kind not in (*_SPEEDS, *WALKABLE):
         raise InputError(f"{kind} has no speed", fix="leave the speed out")
     least, usual, most = _SPEEDS.get(kind, _SPEEDS["walk"])
@@ -184,6 +190,10 @@ def _poses(wish: _Wish, rng: np.random.Generator) -> np.ndarray:
     """Poses ``(T, 40)`` of the default body."""
     kind = wish.kind
     gesture = GESTURES.get(kind)
+    if kind in SEATED:
+        time, shown = _frames(wish, 1.0)
+        gait = gait_at(MIN_SPEED, _hip_height(), False)
+        return seated_poses(time, wish.seconds, _hip_height(), gait, rng)[shown]
     if kind == "stand" or (gesture is not None and wish.speed == 0.0):
         return _stand(wish, rng)
     if kind == "backwards":
@@ -346,6 +356,28 @@ def synthetic_clips(seed: int = 0, heights: tuple[float, ...] = (DEFAULT_HEIGHT_
             qpos = _poses(wish, np.random.default_rng([seed, number]))
             suffix = f"-{height:g}m" if len(heights) > 1 else ""
             made.append((f"synthetic-{label}{suffix}", kind, qpos, height))
+    return _clips(made)
+
+
+def seated_clips(seed: int = 0) -> list[Clip]:
+    """Clips of somebody who sits down on a chair and stands up again, of 8 s each.
+
+    They stand apart from ``synthetic_clips``: without a chair nobody can follow them.
+
+    Args:
+        seed: of the differences between the clips' people.
+
+    Raises:
+        InputError: the seed is below zero.
+    """
+    _check_seed(seed)
+    made = []
+    for kind in SEATED:
+        for number in range(4):
+            wish = _checked(kind, None, None, 8.0, DEFAULT_HEIGHT_M, False, False)
+            rng = np.random.default_rng([seed, zlib.crc32(kind.encode()), number])
+            made.append((f"synthetic-{kind}-{number + 1}", kind, _poses(wish, rng),
+                         DEFAULT_HEIGHT_M))  # fmt: skip
     return _clips(made)
 
 
