@@ -183,3 +183,40 @@ def test_normalised_dual_quaternions_have_mean_zero_and_deviation_one():
 def test_the_record_of_motions_changes_with_a_single_frame():
     other = replace(MOTION, root_position=MOTION.root_position + 1e-3)
     assert motions_record("x", [MOTION])["sha256"] != motions_record("x", [other])["sha256"]
+
+
+def test_the_learning_rate_rises_from_nothing_over_the_warm_up(tmp_path):
+    fit = fit_of("lgsik", "network", tmp_path)
+    fit.learning = replace(fit.learning, warm_up=4, final_rate=1.0, learning_rate=1e-3)
+    rates = []
+    for _ in range(6):
+        fit._step(0.0)
+        rates.append(fit._optimiser.param_groups[0]["lr"])
+    assert np.allclose(rates, [2.5e-4, 5e-4, 7.5e-4, 1e-3, 1e-3, 1e-3])
+
+
+@pytest.mark.parametrize(
+    ("agent", "stage"), [("hmdposer", "network"), ("sparseposer", "generator")]
+)
+def test_bfloat16_is_for_training_alone_and_answers_nearly_the_same(agent, stage):
+    torch.manual_seed(0)
+    entry = AGENTS[agent]
+    config = entry.presets["smoke"]
+    module, learning = entry.build(config.spec), config.stages[stage]
+    bank = MotionBank([MOTION], learning.window)
+    exact, coarse = (
+        entry.task(module, stage, replace(learning, bfloat16=on), bank, 4) for on in (False, True)
+    )
+    batch = exact.draw(np.random.default_rng(0))
+
+    def losses(training):
+        module.train(training)
+        torch.manual_seed(1)
+        first = float(exact.loss(batch)[0].detach())
+        torch.manual_seed(1)
+        return first, float(coarse.loss(batch)[0].detach())
+
+    first, second = losses(True)
+    assert first != second and second == pytest.approx(first, rel=0.03)
+    first, second = losses(False)
+    assert first == second

@@ -100,6 +100,7 @@ class Fit:
         self.module.train()
         share = 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
         rate = learning.final_rate + (1 - learning.final_rate) * share
+        rate *= min(1.0, (self.steps + 1) / max(learning.warm_up, 1))
         for group in self._optimiser.param_groups:
             group["lr"] = learning.learning_rate * rate
         self._optimiser.zero_grad(set_to_none=True)
