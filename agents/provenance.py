@@ -147,7 +147,7 @@ def commands(parts: list[StagePart]) -> list[str]:
         if run in begun:
             words.append("--resume")
         begun.add(run)
-        lines.append(shlex.join(["python", "train.py", *_options(read_run(run)["args"]), *words]))
+        lines.append(shlex.join(["python", "train.py", *options_of(read_run(run)["args"]), *words]))
     return lines
 
 
@@ -155,7 +155,7 @@ def _teacher_name(part: StagePart) -> str:
     return "runs/TEACHER" if part.command is None else part.run.name
 
 
-def _options(args: Mapping[str, Any]) -> list[str]:
+def options_of(args: Mapping[str, Any]) -> list[str]:
     """The recorded options that are not the defaults, and always the preset and the motions."""
     words: list[str] = []
     for option in fields(TrainArgs):

@@ -1,11 +1,13 @@
 """Training of the kinematic systems: errors fall, runs are recorded, resumed to the bit."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from agents.evaluation import EvaluateArgs, evaluate
 from agents.kinematic import load_system
 from agents.kinematic.data import MotionBank, motions_record
 from agents.kinematic.features import HEAD
@@ -17,6 +19,7 @@ from agents.kinematic.sparseposer import SparsePoserModule
 from agents.kinematic.store import find_system, load_module, save_system
 from agents.monitor import Display
 from agents.run_folder import read_run
+from agents.shipping import ShipArgs, ship
 from agents.stage import Budget, Stopper
 from agents.training import TrainArgs, train
 from questsim.errors import InputError
@@ -35,6 +38,11 @@ SETS = {"hmdposer": "H+2C", "lgsik": "H+2C", "sparseposer": "6T", "dragposer": "
 def library(tmp_path):
     path = tmp_path / "motions.npz"
     save_library(path, [MOTION], [])
+    return str(path)
+
+
+def save_library_of(motion, path):
+    save_library(path, [motion], [])
     return str(path)
 
 
@@ -146,6 +154,54 @@ def test_a_damaged_or_foreign_checkpoint_is_refused(tmp_path):
     (folder / "system.safetensors").write_bytes(b"nothing")
     with pytest.raises(InputError, match="the weights do not fit"):
         load_module(folder)
+
+
+@pytest.fixture(scope="module")
+def shipped(tmp_path_factory):
+    """A tiny SparsePoser in ``run``, compared in ``scores`` and shipped to ``weights/feet``."""
+    folder = tmp_path_factory.mktemp("shipped")
+    motions = save_library_of(MOTION, folder / "motions.npz")
+    train(arguments("sparseposer", motions, folder / "run", steps=2, seed=3))
+    agents, scores = (str(folder / "run"),), folder / "scores"
+    evaluate(EvaluateArgs(compare=True, agents=agents, motions=motions, out=scores, threads=1))
+    report = scores / "comparison.json"
+    args = ShipArgs(folder / "run", "feet", metrics=(report,), into=folder / "weights")
+    assert ship(args) == 0
+    return folder
+
+
+def test_a_shipped_system_loads_by_name_and_answers_as_the_run_does(shipped, monkeypatch):
+    monkeypatch.setattr("agents.kinematic.store.SHIPPED", shipped / "weights")
+    body, seen = Body.of(MOTION), readings(MOTION.resampled(60.0), SENSOR_SETS["6T"])
+    a, b = (load_system(name).predict(seen, body) for name in ("feet", shipped / "run"))
+    assert np.array_equal(a.rotations, b.rotations)
+    assert {path.name for path in (shipped / "weights" / "feet").iterdir()} == {
+        "README.md", "system.safetensors", "system.yaml",
+    }  # fmt: skip
+
+
+def test_the_card_of_a_system_tells_data_licence_command_seed_time_and_figures(shipped):
+    card = (shipped / "weights" / "feet" / "README.md").read_text()
+    assert "| licence | MIT |" in card and "| seed | 3 |" in card
+    assert "generator 2 steps, 0 min; ik 2 steps, 0 min" in card
+    command = next(line for line in card.splitlines() if line.startswith("python train.py"))
+    assert "--agent sparseposer" in command and "--preset smoke" in command
+    row = json.loads((shipped / "scores" / "comparison.json").read_text())["rows"][0]
+    assert f"| 6 | {row['pooled']['mpjre_deg']:.2f} |" in card
+    training = load_module(shipped / "weights" / "feet")[1]["training"]
+    assert [stage["stage"] for stage in training["stages"]] == ["generator", "ik"]
+
+
+def test_a_system_is_not_shipped_with_figures_of_another_or_without_licence(shipped, tmp_path):
+    motions = save_library_of(replace(MOTION, licence=""), tmp_path / "motions.npz")
+    out = tmp_path / "run"
+    train(arguments("lgsik", motions, out, steps=2))
+    report = shipped / "scores" / "comparison.json"
+    with pytest.raises(InputError, match="does not have this system"):
+        ship(ShipArgs(out, "mine", metrics=(report,), into=tmp_path))
+    with pytest.raises(InputError, match="have no stated licence"):
+        ship(ShipArgs(out / "network", "mine", into=tmp_path))
+    assert not (tmp_path / "mine").exists()
 
 
 def test_windows_are_reproducible_and_mirrored_and_of_other_people():
