@@ -13,6 +13,7 @@ from agents.kinematic.data import MotionBank, motions_record
 from agents.kinematic.features import HEAD
 from agents.kinematic.fit import Fit
 from agents.kinematic.interface import Body
+from agents.kinematic.learning import rate_at
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.sparse_training import measure_normalisers
 from agents.kinematic.sparseposer import SparsePoserModule
@@ -276,3 +277,27 @@ def test_bfloat16_is_for_training_alone_and_answers_nearly_the_same(agent, stage
     assert first != second and second == pytest.approx(first, rel=0.03)
     first, second = losses(False)
     assert first == second
+
+
+def test_hmdposers_published_rate_falls_to_a_tenth_after_three_quarters():
+    learning = AGENTS["hmdposer"].presets["paper"].stages["network"]
+    rates = [rate_at(learning, progress, 0, []) for progress in (0.0, 0.74, 0.75, 1.0)]
+    assert np.allclose(rates, [1e-3, 1e-3, 1e-4, 1e-4])
+
+
+def test_lgsiks_published_rate_falls_as_pytorchs_plateau_scheduler_does():
+    learning = AGENTS["lgsik"].presets["paper"].stages["network"]
+    optimiser = torch.optim.AdamW([torch.nn.Parameter(torch.zeros(1))], lr=1e-3)
+    scheduler = torch.optim.lr_scheduler.ReduceLROnPlateau(optimiser, factor=0.1, patience=5)
+    errors = [9.0, 8.0, *[8.0] * 7, 7.9, 7.0, *[7.5] * 13]
+    for count, error in enumerate(errors, start=1):
+        scheduler.step(error)
+        want = optimiser.param_groups[0]["lr"]
+        assert rate_at(learning, 0.1, 0, errors[:count]) == pytest.approx(want)
+    assert want == pytest.approx(1e-6)
+
+
+def test_an_unknown_schedule_is_refused(library, tmp_path):
+    args = arguments("lgsik", library, tmp_path / "run", set=("stages.network.schedule=stairs",))
+    with pytest.raises(InputError, match="there is no schedule 'stairs'"):
+        train(args)

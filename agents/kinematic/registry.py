@@ -80,7 +80,16 @@ AGENTS: dict[str, Entry] = {
         {
             "paper": Config(
                 HmdPoserSpec(),
-                {"network": Learning(optimiser="adam", batch=256, window=42, clip=None)},
+                {
+                    "network": Learning(
+                        optimiser="adam",
+                        schedule="step",
+                        final_rate=0.1,
+                        batch=256,
+                        window=42,
+                        clip=None,
+                    )
+                },
             ),
             "cpu": Config(
                 HmdPoserSpec(
@@ -102,7 +111,10 @@ AGENTS: dict[str, Entry] = {
         "LGSIK-Poser (2025)",
         _HMD_SETS,
         {
-            "paper": Config(LgsikSpec(), {"network": Learning(window=42, clip=None)}),
+            "paper": Config(
+                LgsikSpec(),
+                {"network": Learning(schedule="plateau", final_rate=0.1, window=42, clip=None)},
+            ),
             "cpu": Config(
                 LgsikSpec(size=64, hidden=(256, 128), shape_hidden=128),
                 {"network": _CPU},
