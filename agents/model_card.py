@@ -97,7 +97,7 @@ def model_card(
         "",
         "## Licence",
         "",
-        *_licence(training),
+        *licence_lines(training),
     ]
     return "\n".join(lines) + "\n"
 
@@ -156,10 +156,10 @@ def _purpose(agent: PolicyAgent) -> str:
 def _facts(agent: PolicyAgent, weights_bytes: int) -> list[str]:
     training, spec = agent.card["training"], agent.policy.spec
     stages = "; ".join(
-        f"{stage['stage']} {stage['steps'] / 1e6:.1f} M steps, {_time(stage['minutes'])}"
+        f"{stage['stage']} {stage['steps'] / 1e6:.1f} M steps, {time_text(stage['minutes'])}"
         for stage in training["stages"]
     )
-    whole = _time(sum(stage["minutes"] for stage in training["stages"]))
+    whole = time_text(sum(stage["minutes"] for stage in training["stages"]))
     versions = training["versions"]
     packages = ", ".join(f"{name} {versions[name]}" for name in ("questsim", "mujoco", "torch"))
     layers = "-".join(map(str, spec.hidden))
@@ -175,14 +175,15 @@ def _facts(agent: PolicyAgent, weights_bytes: int) -> list[str]:
     return ["| | |", "|---|---|", *(f"| {name} | {text} |" for name, text in rows.items())]
 
 
-def _time(minutes: float) -> str:
+def time_text(minutes: float) -> str:
+    """Minutes, or hours where there are many."""
     return f"{minutes:.0f} min" if minutes < 120 else f"{minutes / 60:.1f} h"
 
 
 def _data(training: Mapping[str, Any]) -> str:
     motions = {stage["motions"]: None for stage in training["stages"]}
     own = training["motions"]
-    text = f"`{own}`: {training['clips']} clips, {_time(training['seconds'] / 60)}"
+    text = f"`{own}`: {training['clips']} clips, {time_text(training['seconds'] / 60)}"
     others = [f"`{name}`" for name in motions if name != own]
     return text + (f"; earlier stages on {', '.join(others)}" if others else "")
 
@@ -220,7 +221,8 @@ def _cell(key: str, value: float | None) -> str:
     return f"{100.0 * value:.1f}" if key == "success" else f"{value:.2f}"
 
 
-def _licence(training: Mapping[str, Any]) -> list[str]:
+def licence_lines(training: Mapping[str, Any]) -> list[str]:
+    """The licence in words, and credit to the motions of all stages."""
     licence = training["licence"]
     lines = [LICENCE_TEXTS.get(licence, f"The weights are under {licence}.")]
     motions = " ".join(stage["motions"] for stage in training["stages"])

@@ -169,7 +169,7 @@ def commands(parts: Sequence[StagePart]) -> list[str]:
         if run in begun:
             words.append("--resume")
         begun.add(run)
-        lines.append(shlex.join(["python", "train.py", *_options(record["args"]), *words]))
+        lines.append(shlex.join(["python", "train.py", *options_of(record["args"]), *words]))
     return lines
 
 
@@ -191,7 +191,7 @@ def _called(folder: Path, names: Mapping[Path, str]) -> str:
     return names[folder] if folder in names else names[run_of(folder)]
 
 
-def _options(args: Mapping[str, Any]) -> list[str]:
+def options_of(args: Mapping[str, Any]) -> list[str]:
     """The recorded options that are not the defaults, and always the preset and the motions."""
     words: list[str] = []
     for option in fields(TrainArgs):

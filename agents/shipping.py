@@ -1,4 +1,4 @@
-"""Putting a trained policy among those that are shipped, with a card that tells what it is."""
+"""Putting what was trained among what is shipped, with a card that tells what it is."""
 
 from __future__ import annotations
 
@@ -18,6 +18,10 @@ from agents.checkpoint import (
     find_policy,
     load_policy,
 )
+from agents.kinematic.shipping import comparison_lines, system_card, system_provenance
+from agents.kinematic.store import CARD_FILE as SYSTEM_CARD
+from agents.kinematic.store import WEIGHTS_FILE as SYSTEM_WEIGHTS
+from agents.kinematic.store import find_system, read_system_card
 from agents.licence import UNKNOWN
 from agents.model_card import model_card, read_metrics
 from agents.provenance import provenance
@@ -27,48 +31,76 @@ MODEL_CARD = "README.md"
 MAX_BYTES = 10_000_000
 """A shipped file is smaller than this: weights travel with the source."""
 
-RESERVED = ("zero", "random")
-"""Names of agents that are no policies."""
+RESERVED = ("zero", "random", "ik")
+"""Names of agents that need no weights."""
 
 
 @dataclass(frozen=True)
 class ShipArgs:
-    """Copy a run's best policy to the shipped ones and write its card."""
+    """Copy a run's best policy or kinematic system to the shipped ones and write its card."""
 
     run: Path
-    """A run folder, a stage of it, or a policy folder inside it."""
+    """A run folder, a stage of it, or a checkpoint folder inside it."""
     name: str
-    """What the policy is called from now on, e.g. by evaluate --agent NAME."""
+    """What it is called from now on, e.g. by evaluate --agent NAME."""
     metrics: tuple[Path, ...] = ()
-    """metrics.json of its evaluations, in the order of the card."""
+    """Reports of its evaluations, in the order of the card: metrics.json of a policy,
+    comparison.json of a kinematic system."""
     into: Path = SHIPPED
     """Folder of the shipped policies."""
 
 
 def ship(args: ShipArgs) -> int:
-    """Copy a policy with its card, in place of an older one of that name; returns the exit code.
+    """Copy weights with their card, in place of older ones of that name; returns the exit code.
 
     Raises:
-        InputError: no such policy, one whose data or licence is not known, that is too large, or
-            metrics of another policy.
+        InputError: there are none, their data or licence is not known, they are too large, or
+            a report is of others.
     """
     check_name(args.name)
-    source = find_policy(args.run)
+    system = find_system(args.run) if args.run.exists() else None
+    if system is None:
+        return _ship_policy(args, find_policy(args.run))
+    return _ship_system(args, system)
+
+
+def _ship_policy(args: ShipArgs, source: Path) -> int:
     agent = load_policy(source)
-    size = (source / WEIGHTS_FILE).stat().st_size
-    if size > MAX_BYTES:
-        raise InputError(f"{size / 1e6:.1f} MB is more than 10 MB", source / WEIGHTS_FILE)
+    size = _checked_size(source / WEIGHTS_FILE)
     training = agent.card["training"]
     metrics = [read_metrics(path, training) for path in args.metrics]
     agent.card["training"] = training | provenance(source)
-    licence = agent.card["training"]["licence"]
-    if licence == UNKNOWN:
-        raise InputError("some motions it learnt from have no stated licence", source)
+    licence = _checked_licence(agent.card["training"], source)
     card = model_card(args.name, agent, size, metrics)
-    folder = args.into / args.name
-    _write(folder, source, agent.card, card)
-    print(f"written to {folder}: {size / 1e6:.1f} MB, {licence}")
+    _write(args, source, (WEIGHTS_FILE, CRITIC_FILE), (CARD_FILE, agent.card), card)
+    print(f"written to {args.into / args.name}: {size / 1e6:.1f} MB, {licence}")
     return 0
+
+
+def _ship_system(args: ShipArgs, source: Path) -> int:
+    description = read_system_card(source)
+    size = _checked_size(source / SYSTEM_WEIGHTS)
+    training = description["training"]
+    figures = [line for path in args.metrics for line in comparison_lines(path, training)]
+    description["training"] = training | system_provenance(source)
+    licence = _checked_licence(description["training"], source)
+    card = system_card(args.name, source, description["training"], size, figures)
+    _write(args, source, (SYSTEM_WEIGHTS,), (SYSTEM_CARD, description), card)
+    print(f"written to {args.into / args.name}: {size / 1e6:.1f} MB, {licence}")
+    return 0
+
+
+def _checked_size(weights: Path) -> int:
+    size = weights.stat().st_size
+    if size > MAX_BYTES:
+        raise InputError(f"{size / 1e6:.1f} MB is more than 10 MB", weights)
+    return size
+
+
+def _checked_licence(training: dict[str, Any], source: Path) -> str:
+    if training["licence"] == UNKNOWN:
+        raise InputError("some motions it learnt from have no stated licence", source)
+    return training["licence"]
 
 
 def check_name(name: str) -> None:
@@ -83,16 +115,23 @@ def check_name(name: str) -> None:
         )
 
 
-def _write(folder: Path, source: Path, description: dict[str, Any], card: str) -> None:
+def _write(
+    args: ShipArgs,
+    source: Path,
+    weights: tuple[str, ...],
+    description: tuple[str, dict[str, Any]],
+    card: str,
+) -> None:
     """Write the folder whole beside an older one, then take its place."""
+    folder = args.into / args.name
     fresh = folder.with_name(f".{folder.name}.new")
     shutil.rmtree(fresh, ignore_errors=True)
     fresh.mkdir(parents=True)
-    shutil.copy(source / WEIGHTS_FILE, fresh)
-    if (source / CRITIC_FILE).exists():
-        shutil.copy(source / CRITIC_FILE, fresh)
-    text = yaml.safe_dump(description, sort_keys=False)
-    (fresh / CARD_FILE).write_text(text, encoding="utf-8")
+    for name in weights:
+        if (source / name).exists():
+            shutil.copy(source / name, fresh)
+    name, content = description
+    (fresh / name).write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     (fresh / MODEL_CARD).write_text(card, encoding="utf-8")
     shutil.rmtree(folder, ignore_errors=True)
     fresh.rename(folder)

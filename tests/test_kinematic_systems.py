@@ -120,6 +120,20 @@ def test_a_bank_of_lstms_computes_what_pytorchs_lstm_does():
         assert torch.allclose(bank(x)[0][:, :, 1], lstm(x[:, :, 1])[0], atol=1e-6)
 
 
+def test_a_bank_of_lstms_gives_the_same_frame_by_frame_as_in_one_piece():
+    torch.manual_seed(0)
+    bank, x = LstmBank(3, 8), torch.randn(2, 7, 3, 8)
+    with torch.no_grad():
+        whole, (hidden, cell) = bank(x)
+        parts, state = [], None
+        for t in range(7):
+            part, state = bank(x[:, t : t + 1], state)
+            parts.append(part)
+    assert state is not None
+    assert torch.allclose(torch.cat(parts, dim=1), whole, atol=1e-6)
+    assert torch.allclose(state[0], hidden, atol=1e-6) and torch.allclose(state[1], cell, atol=1e-6)
+
+
 # -- streams -----------------------------------------------------------------------------------
 
 

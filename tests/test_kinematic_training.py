@@ -1,22 +1,26 @@
 """Training of the kinematic systems: errors fall, runs are recorded, resumed to the bit."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from agents.evaluation import EvaluateArgs, evaluate
 from agents.kinematic import load_system
 from agents.kinematic.data import MotionBank, motions_record
 from agents.kinematic.features import HEAD
 from agents.kinematic.fit import Fit
 from agents.kinematic.interface import Body
+from agents.kinematic.learning import rate_at
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.sparse_training import measure_normalisers
 from agents.kinematic.sparseposer import SparsePoserModule
 from agents.kinematic.store import find_system, load_module, save_system
 from agents.monitor import Display
 from agents.run_folder import read_run
+from agents.shipping import ShipArgs, ship
 from agents.stage import Budget, Stopper
 from agents.training import TrainArgs, train
 from questsim.errors import InputError
@@ -35,6 +39,11 @@ SETS = {"hmdposer": "H+2C", "lgsik": "H+2C", "sparseposer": "6T", "dragposer": "
 def library(tmp_path):
     path = tmp_path / "motions.npz"
     save_library(path, [MOTION], [])
+    return str(path)
+
+
+def save_library_of(motion, path):
+    save_library(path, [motion], [])
     return str(path)
 
 
@@ -148,6 +157,54 @@ def test_a_damaged_or_foreign_checkpoint_is_refused(tmp_path):
         load_module(folder)
 
 
+@pytest.fixture(scope="module")
+def shipped(tmp_path_factory):
+    """A tiny SparsePoser in ``run``, compared in ``scores`` and shipped to ``weights/feet``."""
+    folder = tmp_path_factory.mktemp("shipped")
+    motions = save_library_of(MOTION, folder / "motions.npz")
+    train(arguments("sparseposer", motions, folder / "run", steps=2, seed=3))
+    agents, scores = (str(folder / "run"),), folder / "scores"
+    evaluate(EvaluateArgs(compare=True, agents=agents, motions=motions, out=scores, threads=1))
+    report = scores / "comparison.json"
+    args = ShipArgs(folder / "run", "feet", metrics=(report,), into=folder / "weights")
+    assert ship(args) == 0
+    return folder
+
+
+def test_a_shipped_system_loads_by_name_and_answers_as_the_run_does(shipped, monkeypatch):
+    monkeypatch.setattr("agents.kinematic.store.SHIPPED", shipped / "weights")
+    body, seen = Body.of(MOTION), readings(MOTION.resampled(60.0), SENSOR_SETS["6T"])
+    a, b = (load_system(name).predict(seen, body) for name in ("feet", shipped / "run"))
+    assert np.array_equal(a.rotations, b.rotations)
+    assert {path.name for path in (shipped / "weights" / "feet").iterdir()} == {
+        "README.md", "system.safetensors", "system.yaml",
+    }  # fmt: skip
+
+
+def test_the_card_of_a_system_tells_data_licence_command_seed_time_and_figures(shipped):
+    card = (shipped / "weights" / "feet" / "README.md").read_text()
+    assert "| licence | MIT |" in card and "| seed | 3 |" in card
+    assert "generator 2 steps, 0 min; ik 2 steps, 0 min" in card
+    command = next(line for line in card.splitlines() if line.startswith("python train.py"))
+    assert "--agent sparseposer" in command and "--preset smoke" in command
+    row = json.loads((shipped / "scores" / "comparison.json").read_text())["rows"][0]
+    assert f"| 6 | {row['pooled']['mpjre_deg']:.2f} |" in card
+    training = load_module(shipped / "weights" / "feet")[1]["training"]
+    assert [stage["stage"] for stage in training["stages"]] == ["generator", "ik"]
+
+
+def test_a_system_is_not_shipped_with_figures_of_another_or_without_licence(shipped, tmp_path):
+    motions = save_library_of(replace(MOTION, licence=""), tmp_path / "motions.npz")
+    out = tmp_path / "run"
+    train(arguments("lgsik", motions, out, steps=2))
+    report = shipped / "scores" / "comparison.json"
+    with pytest.raises(InputError, match="does not have this system"):
+        ship(ShipArgs(out, "mine", metrics=(report,), into=tmp_path))
+    with pytest.raises(InputError, match="have no stated licence"):
+        ship(ShipArgs(out / "network", "mine", into=tmp_path))
+    assert not (tmp_path / "mine").exists()
+
+
 def test_windows_are_reproducible_and_mirrored_and_of_other_people():
     bank = MotionBank([MOTION], 20)
     a = bank.draw(32, np.random.default_rng(1))
@@ -183,3 +240,64 @@ def test_normalised_dual_quaternions_have_mean_zero_and_deviation_one():
 def test_the_record_of_motions_changes_with_a_single_frame():
     other = replace(MOTION, root_position=MOTION.root_position + 1e-3)
     assert motions_record("x", [MOTION])["sha256"] != motions_record("x", [other])["sha256"]
+
+
+def test_the_learning_rate_rises_from_nothing_over_the_warm_up(tmp_path):
+    fit = fit_of("lgsik", "network", tmp_path)
+    fit.learning = replace(fit.learning, warm_up=4, final_rate=1.0, learning_rate=1e-3)
+    rates = []
+    for _ in range(6):
+        fit._step(0.0)
+        rates.append(fit._optimiser.param_groups[0]["lr"])
+    assert np.allclose(rates, [2.5e-4, 5e-4, 7.5e-4, 1e-3, 1e-3, 1e-3])
+
+
+@pytest.mark.parametrize(
+    ("agent", "stage"), [("hmdposer", "network"), ("sparseposer", "generator")]
+)
+def test_bfloat16_is_for_training_alone_and_answers_nearly_the_same(agent, stage):
+    torch.manual_seed(0)
+    entry = AGENTS[agent]
+    config = entry.presets["smoke"]
+    module, learning = entry.build(config.spec), config.stages[stage]
+    bank = MotionBank([MOTION], learning.window)
+    exact, coarse = (
+        entry.task(module, stage, replace(learning, bfloat16=on), bank, 4) for on in (False, True)
+    )
+    batch = exact.draw(np.random.default_rng(0))
+
+    def losses(training):
+        module.train(training)
+        torch.manual_seed(1)
+        first = float(exact.loss(batch)[0].detach())
+        torch.manual_seed(1)
+        return first, float(coarse.loss(batch)[0].detach())
+
+    first, second = losses(True)
+    assert first != second and second == pytest.approx(first, rel=0.03)
+    first, second = losses(False)
+    assert first == second
+
+
+def test_hmdposers_published_rate_falls_to_a_tenth_after_three_quarters():
+    learning = AGENTS["hmdposer"].presets["paper"].stages["network"]
+    rates = [rate_at(learning, progress, 0, []) for progress in (0.0, 0.74, 0.75, 1.0)]
+    assert np.allclose(rates, [1e-3, 1e-3, 1e-4, 1e-4])
+
+
+def test_lgsiks_published_rate_falls_as_pytorchs_plateau_scheduler_does():
+    learning = AGENTS["lgsik"].presets["paper"].stages["network"]
+    optimiser = torch.optim.AdamW([torch.nn.Parameter(torch.zeros(1))], lr=1e-3)
+    scheduler = torch.optim.lr_scheduler.ReduceLROnPlateau(optimiser, factor=0.1, patience=5)
+    errors = [9.0, 8.0, *[8.0] * 7, 7.9, 7.0, *[7.5] * 13]
+    for count, error in enumerate(errors, start=1):
+        scheduler.step(error)
+        want = optimiser.param_groups[0]["lr"]
+        assert rate_at(learning, 0.1, 0, errors[:count]) == pytest.approx(want)
+    assert want == pytest.approx(1e-6)
+
+
+def test_an_unknown_schedule_is_refused(library, tmp_path):
+    args = arguments("lgsik", library, tmp_path / "run", set=("stages.network.schedule=stairs",))
+    with pytest.raises(InputError, match="there is no schedule 'stairs'"):
+        train(args)

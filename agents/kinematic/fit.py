@@ -15,7 +15,7 @@ from stable_baselines3.common.logger import configure
 from torch import nn
 
 from agents.checkpoint import load_resume
-from agents.kinematic.learning import Learning, Task
+from agents.kinematic.learning import Learning, Task, rate_at
 from agents.monitor import Display
 from agents.stage import Budget, Stopper
 from questsim.errors import InputError
@@ -98,10 +98,9 @@ class Fit:
     def _step(self, progress: float) -> dict[str, float]:
         learning = self.learning
         self.module.train()
-        share = 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
-        rate = learning.final_rate + (1 - learning.final_rate) * share
+        errors = [entry["error_cm"] for entry in self.history]
         for group in self._optimiser.param_groups:
-            group["lr"] = learning.learning_rate * rate
+            group["lr"] = rate_at(learning, progress, self.steps, errors)
         self._optimiser.zero_grad(set_to_none=True)
         loss, figures = self.task.loss(self.task.draw(self._rng))
         if not bool(torch.isfinite(loss)):

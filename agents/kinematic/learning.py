@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 from torch import Tensor, nn
 
 from agents.kinematic.data import MotionBank
+from questsim.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -19,11 +21,15 @@ class Learning:
     Attributes:
         share: of the whole time budget.
         optimiser: ``adam`` or ``adamw``.
-        learning_rate: at first; it falls along a cosine over the budget ...
-        final_rate: ... to this share of it.
+        learning_rate: at first; see ``rate_at``.
+        schedule: how it falls: ``cosine``, ``step`` or ``plateau``.
+        final_rate: share of it at a cosine's end, or that a step or plateau brings it down to.
+        warm_up: gradient steps over which it first rises from nothing.
         batch: windows, or single poses, a gradient step.
         window: frames of a window.
         clip: largest norm of the gradient; None for any.
+        bfloat16: whether the networks' products while training are of that precision: about twice
+            as fast on processors that know it.
         evaluate_every: gradient steps between evaluations.
         steps: gradient steps after which the stage ends even if there is time.
     """
@@ -31,12 +37,63 @@ class Learning:
     share: float = 1.0
     optimiser: str = "adamw"
     learning_rate: float = 1e-3
+    schedule: str = "cosine"
     final_rate: float = 0.05
+    warm_up: int = 0
     batch: int = 64
     window: int = 40
     clip: float | None = 1.0
+    bfloat16: bool = False
     evaluate_every: int = 500
     steps: int | None = None
+
+
+STEP_AT = 0.75
+"""HMD-Poser's rate falls after 300 of 400 epochs."""
+PATIENCE, GAIN = 5, 1e-4
+"""Evaluations without an error lower by this share until LGSIK-Poser's rate falls."""
+
+
+def rate_at(learning: Learning, progress: float, steps: int, errors: Sequence[float]) -> float:
+    """The learning rate of a gradient step.
+
+    ``cosine`` falls over the whole budget; ``step`` falls at three quarters of it (HMD-Poser);
+    ``plateau`` falls, again and again, each time that six evaluations in a row are no better than
+    the best before (LGSIK-Poser: PyTorch's ReduceLROnPlateau with a patience of 5).
+
+    Args:
+        learning: says which.
+        progress: share of the budget that is used.
+        steps: gradient steps made.
+        errors: of all evaluations so far.
+
+    Raises:
+        InputError: there is no such schedule.
+    """
+    if learning.schedule == "cosine":
+        share = 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
+        factor = learning.final_rate + (1 - learning.final_rate) * share
+    elif learning.schedule == "step":
+        factor = 1.0 if progress < STEP_AT else learning.final_rate
+    elif learning.schedule == "plateau":
+        factor = learning.final_rate ** _plateaus(errors)
+    else:
+        raise InputError(
+            f"there is no schedule {learning.schedule!r}", fix="cosine, step or plateau"
+        )
+    warm = min(1.0, (steps + 1) / max(learning.warm_up, 1))
+    return learning.learning_rate * factor * warm
+
+
+def _plateaus(errors: Sequence[float]) -> int:
+    """How often errors have stood still for more than ``PATIENCE`` evaluations."""
+    best, waited, found = math.inf, 0, 0
+    for error in errors:
+        better = error < best * (1.0 - GAIN)
+        best, waited = (error, 0) if better else (best, waited + 1)
+        if waited > PATIENCE:
+            found, waited = found + 1, 0
+    return found
 
 
 @dataclass(frozen=True)

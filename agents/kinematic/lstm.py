@@ -1,4 +1,4 @@
-"""Several LSTMs of one size side by side, with weight normalisation, run by batched products."""
+"""Several LSTMs of one size side by side, with weight normalisation."""
 
 from __future__ import annotations
 
@@ -68,18 +68,39 @@ class LstmBank(nn.Module):
         Returns:
             hidden states ``(B, T, groups, size)`` and the state after the last frame.
         """
-        batch, frames = x.shape[:2]
-        into, across, bias = self._weights()
-        flat = x.permute(2, 1, 0, 3).reshape(self.groups, frames * batch, self.size)
-        gates = torch.baddbmm(bias, flat, into).view(self.groups, frames, batch, 4 * self.size)
         if state is None:
-            zero = x.new_zeros(self.groups, batch, self.size)
+            zero = x.new_zeros(self.groups, len(x), self.size)
             state = (zero, zero)
-        hidden, cell = state
-        outputs = []
-        for t in range(frames):
-            i, f, g, o = torch.baddbmm(gates[:, t], hidden, across).chunk(4, dim=-1)
-            cell = torch.sigmoid(f) * cell + torch.sigmoid(i) * torch.tanh(g)
-            hidden = torch.sigmoid(o) * torch.tanh(cell)
-            outputs.append(hidden)
-        return torch.stack(outputs, dim=0).permute(2, 0, 1, 3), (hidden, cell)
+        return self._step(x, state) if x.shape[1] == 1 else self._sequence(x, state)
+
+    def _step(self, x: Tensor, state: State) -> tuple[Tensor, State]:
+        """One frame of all groups at once."""
+        into, across, bias = self._weights()
+        gates = torch.baddbmm(bias, x[:, 0].transpose(0, 1), into)
+        i, f, g, o = torch.baddbmm(gates, state[0], across).chunk(4, dim=-1)
+        cell = torch.sigmoid(f) * state[1] + torch.sigmoid(i) * torch.tanh(g)
+        hidden = torch.sigmoid(o) * torch.tanh(cell)
+        return hidden.transpose(0, 1)[:, None], (hidden, cell)
+
+    def _sequence(self, x: Tensor, state: State) -> tuple[Tensor, State]:
+        """Group by group through PyTorch's own LSTM, which is made for sequences."""
+        kind = torch.get_autocast_dtype("cpu") if torch.is_autocast_enabled("cpu") else x.dtype
+        into, across, bias = (w.to(kind).transpose(1, 2) for w in self._weights())
+        none, told, hidden, cell = torch.zeros_like(bias[0, :, 0]), [], [], []
+        for group in range(self.groups):
+            weights = [
+                into[group].contiguous(),
+                across[group].contiguous(),
+                bias[group, :, 0],
+                none,
+            ]
+            before = (state[0][group, None].to(kind), state[1][group, None].to(kind))
+            out, h, c = torch.lstm(
+                x[:, :, group].to(kind).contiguous(),
+                before, weights, True, 1, 0.0, self.training, False, True,
+            )  # fmt: skip
+            told.append(out)
+            hidden.append(h[0])
+            cell.append(c[0])
+        after = (torch.stack(hidden).to(x.dtype), torch.stack(cell).to(x.dtype))
+        return torch.stack(told, dim=2).to(x.dtype), after

@@ -305,8 +305,10 @@ def make_task(
     def loss(batch: tuple[Windows, Tensor]) -> tuple[Tensor, dict[str, float]]:
         windows, seen = batch
         told, heading, target = training_inputs(windows, seen)
-        six, shape, _ = module.net(told, module.body_inputs(target.offsets.numpy()))
-        return losses(module, six, shape, heading, target)
+        body = module.body_inputs(target.offsets.numpy())
+        with torch.autocast("cpu", torch.bfloat16, learning.bfloat16 and module.training):
+            six, shape, _ = module.net(told, body)
+        return losses(module, six.float(), shape.float(), heading, target)
 
     def validate() -> dict[str, float]:
         return loss((fixed, fixed_seen))[1]

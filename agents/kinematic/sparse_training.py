@@ -63,7 +63,7 @@ def make_task(
     fixed = bank.fixed(validation)
     if stage == "generator":
         trained = list(module.generator.parameters())
-        loss = _generator_loss(module)
+        loss = _generator_loss(module, learning.bfloat16)
     else:
         trained = list(module.ik.parameters())
         loss = _ik_loss(module)
@@ -98,13 +98,15 @@ def _error_cm(dual: Tensor, windows: Windows) -> float:
     return float(100.0 * (got - want).norm(dim=-1).mean())
 
 
-def _generator_loss(module: SparsePoserModule) -> _Loss:
+def _generator_loss(module: SparsePoserModule, bfloat16: bool) -> _Loss:
     weight = torch.ones(NUM_JOINTS, 1)
     weight[0] = ROOT_WEIGHT
 
     def loss(windows: Windows) -> tuple[Tensor, dict[str, float]]:
         sparse, _, offsets, target = _prepared(module, windows)
-        dual = module.generate(sparse, offsets)
+        with torch.autocast("cpu", torch.bfloat16, bfloat16 and module.training):
+            out = module.generator(sparse, offsets.flatten(1))
+        dual = module.unit(out.float())
         squared = (module.normal(dual) - module.normal(target)).square()
         total = (weight * squared).mean()
         figures = {"dual_quaternions": float(total.detach()), "error_cm": _error_cm(dual, windows)}

@@ -226,8 +226,12 @@ class SparsePoserModule(nn.Module):
 
     def generate(self, sparse: Tensor, offsets: Tensor) -> Tensor:
         """Unit dual quaternions ``(B, T, 22, 8)`` in root space; offsets normalised."""
-        out = self.generator(sparse, offsets.flatten(1)).transpose(1, 2)
-        return diff.unit_dual_quat(out.unflatten(-1, (NUM_JOINTS, 8)) * self.std + self.mean)
+        return self.unit(self.generator(sparse, offsets.flatten(1)))
+
+    def unit(self, out: Tensor) -> Tensor:
+        """Unit dual quaternions ``(B, T, 22, 8)`` of the generator's answers ``(B, 176, T)``."""
+        dual = out.transpose(1, 2).unflatten(-1, (NUM_JOINTS, 8))
+        return diff.unit_dual_quat(dual * self.std + self.mean)
 
     def normal(self, dual: Tensor) -> Tensor:
         """Dual quaternions ``(..., 22, 8)`` less their mean, over their deviation."""

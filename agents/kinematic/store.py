@@ -128,13 +128,14 @@ def _spec(entry: Entry, card: dict[str, Any], folder: Path) -> Any:
 
 
 def find_system(path_or_name: str | Path) -> Path | None:
-    """The checkpoint folder that a path, run folder or shipped name means; None if there is none.
+    """The checkpoint folder that a path, stage, run or shipped name means; None if there is none.
 
     Of a run the last stage counts that has a result.
     """
     for path in (Path(path_or_name), SHIPPED / path_or_name):
-        if (path / CARD_FILE).exists():
-            return path
+        for folder in (path, path / "best", path / "last"):
+            if (folder / CARD_FILE).exists():
+                return folder
         for entry in AGENTS.values():
             for stage in reversed(entry.presets["cpu"].stages):
                 for part in ("best", "last"):

@@ -1,0 +1,189 @@
+"""Shipping a kinematic system: its weights, its description and a card, as policies have one."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Mapping, Sequence
+from math import ceil
+from pathlib import Path
+from typing import Any
+
+from agents.comparison import SCHEMA, SCHEMA_VERSION, parameters
+from agents.kinematic.interface import KinematicSystem
+from agents.kinematic.registry import AGENTS
+from agents.kinematic.store import CARD_FILE, load_system, read_system_card
+from agents.licence import strictest
+from agents.model_card import licence_lines, time_text
+from agents.provenance import options_of, run_of
+from agents.run_folder import read_run
+from questsim.errors import InputError
+
+SHOWN: dict[str, str] = {
+    "mpjre_deg": "MPJRE (deg)", "mpjpe_cm": "MPJPE (cm)", "mpjve_cm_s": "MPJVE (cm/s)",
+    "jitter_100_m_s3": "jitter (100 m/s³)", "h_pe_cm": "H-PE (cm)", "l_pe_cm": "L-PE (cm)",
+    "pos_cm": "pos (cm)", "rot_deg": "rot (deg)", "ee_cm": "EE (cm)",
+    "foot_skate_cm_s": "skate (cm/s)", "root_force_bw": "root force (body weights)",
+}  # fmt: skip
+"""Figures of a comparison that a card has, by their labels."""
+
+USE = """\
+To estimate a user's whole pose, one frame after the other, from the devices named above: for
+research, teaching and experiments. It is not made for medical or safety-relevant use, nor to tell
+who or how healthy somebody is."""
+
+LIMITS = """\
+- It knows the motions above and their like; what no device sees is guessed.
+- Nothing physical is in it: feet may slide, float or sink.
+- The devices' signals in training were synthetic, without noise, delay or loss of tracking.
+- It answers at 60 Hz on this order of joints only; anything else is refused.
+- Bodies differ by the lengths of their bones alone: sex, age and weight are not modelled."""
+
+
+def system_provenance(folder: Path) -> dict[str, Any]:
+    """What a card tells of a system's training; the same keys as ``provenance.provenance``.
+
+    Args:
+        folder: the checkpoint's, inside its run.
+
+    Raises:
+        InputError: it is not inside a run.
+    """
+    run = run_of(folder)
+    record = read_run(run)
+    training = read_system_card(folder)["training"]
+    stages = []
+    for stage in training["trained"]:
+        last = run / stage / "last"
+        end = read_system_card(last)["training"] if (last / CARD_FILE).exists() else training
+        stages.append(
+            {
+                "stage": stage,
+                "steps": end["steps"],
+                "minutes": end["minutes"],
+                "motions": training["motions"],
+            }
+        )
+    minutes = ceil(sum(stage["minutes"] for stage in stages))
+    words = [*options_of(record["args"]), "--minutes", str(minutes), "--out", "runs/NAME"]
+    return {
+        "commands": [shlex.join(["python", "train.py", *words])],
+        "stages": stages,
+        "licence": strictest(training["licences"]),
+        "versions": record["versions"],
+    }
+
+
+def system_card(
+    name: str, folder: Path, training: Mapping[str, Any], weights_bytes: int, figures: Sequence[str]
+) -> str:
+    """The card of a system, as Markdown.
+
+    Args:
+        name: what it is shipped as.
+        folder: of its checkpoint.
+        training: of its description, with what ``system_provenance`` tells.
+        weights_bytes: size of the file of weights.
+        figures: lines of ``comparison_lines``.
+    """
+    card, system = read_system_card(folder), load_system(folder)
+    entry = AGENTS[card["agent"]]
+    lines = [
+        f"# {name}",
+        "",
+        f"{entry.title}: estimates the user's pose on 22 joints, 60 times a second, without "
+        f"physics. It reads {system.describe().replace('_', ' ')}.",
+        "",
+        *_facts(system, training, weights_bytes),
+        "",
+        "Trained by",
+        "",
+        "```",
+        *training["commands"],
+        "```",
+        "",
+        "## Figures",
+        "",
+        *(figures or ["It has not been evaluated.", ""]),
+        "## Intended use",
+        "",
+        USE,
+        "",
+        "## Limits",
+        "",
+        LIMITS,
+        "",
+        "## Licence",
+        "",
+        *licence_lines(training),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _facts(system: KinematicSystem, training: Mapping[str, Any], weights_bytes: int) -> list[str]:
+    stages = "; ".join(
+        f"{stage['stage']} {stage['steps']:,} steps, {time_text(stage['minutes'])}"
+        for stage in training["stages"]
+    )
+    whole = time_text(sum(stage["minutes"] for stage in training["stages"]))
+    versions = training["versions"]
+    packages = ", ".join(f"{name} {versions[name]}" for name in ("questsim", "torch"))
+    count = parameters(system)
+    rows = {
+        "licence": training["licence"],
+        "trained on": f"`{training['motions']}`: {training['clips']} clips, "
+        f"{time_text(training['seconds'] / 60)}, mirrored, on people of varied proportions",
+        "training": f"preset `{training['preset']}`; {stages}; {whole} in all",
+        "seed": str(training["seed"]),
+        "network": f"{count:,} parameters, {weights_bytes / 1e6:.1f} MB in safetensors",
+        "made with": packages,
+    }
+    return ["| | |", "|---|---|", *(f"| {key} | {text} |" for key, text in rows.items())]
+
+
+def comparison_lines(path: Path, training: Mapping[str, Any]) -> list[str]:
+    """The rows of one system in a ``comparison.json``, as Markdown.
+
+    Args:
+        path: the file.
+        training: of the system's description, as the comparison recorded it.
+
+    Raises:
+        InputError: it is missing, no comparison of this version, or not of this system.
+    """
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", path) from error
+    except ValueError as error:
+        raise InputError("is no report of a comparison", path) from error
+    if not isinstance(report, dict) or report.get("schema") != SCHEMA:
+        raise InputError("is no report of a comparison", path, "name a comparison.json")
+    if report.get("version") != SCHEMA_VERSION:
+        raise InputError(
+            f"is of version {report.get('version')!r}, this one reads {SCHEMA_VERSION}", path
+        )
+    plain = json.loads(json.dumps(dict(training)))
+    agents = [
+        agent
+        for agent, measured in report["context"]["agents"].items()
+        if all(measured.get(key) == value for key, value in plain.items())
+    ]
+    rows = [row for row in report["rows"] if row["agent"] in agents]
+    if not rows:
+        raise InputError("does not have this system", path, "compare it")
+    data = report["context"]["data"]
+    names = [name for name in SHOWN if name in rows[0]["pooled"]]
+    lines = [
+        f"### {data['motions']}, {data['clips']} clips",
+        "",
+        "Streamed frame by frame; all frames alike.",
+        "",
+        f"| scenario | {' | '.join(SHOWN[name] for name in names)} |",
+        "|" + "---|" * (len(names) + 1),
+    ]
+    for row in rows:
+        found = [row["pooled"][name] for name in names]
+        cells = ["-" if value is None else f"{value:.2f}" for value in found]
+        lines.append(f"| {row['scenario']} | {' | '.join(cells)} |")
+    return [*lines, ""]
