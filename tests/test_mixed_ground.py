@@ -14,7 +14,7 @@ from test_terrain import gliding_clip
 
 from agents import training
 from agents.checkpoint import load_resume
-from agents.provenance import _options, commands, stages_behind
+from agents.provenance import options_of, commands, stages_behind
 from agents.shipping import ShipArgs, ship
 from agents.training import TrainArgs, train
 from envs import BatchSim, EnvConfig, Pushes, Randomisation, Terrain
@@ -165,7 +165,7 @@ def test_teacher_and_student_learn_on_mixed_ground_under_pushes(
         assert config.pushes == Pushes((0.0, 80.0), pause_s=(1.0, 4.0))
         assert config.randomisation == WILD["randomisation"]
     args = yaml.safe_load((out / "run.yaml").read_text())["args"]
-    words = " ".join(_options(args))
+    words = " ".join(options_of(args))
     assert "--pushes 0.0 80.0 --randomisation.friction 0.7 1.2" in words
     assert train(tiny(out, resume=True, steps=256, **WILD)) == 0
     with pytest.raises(InputError, match="--pushes was"):
