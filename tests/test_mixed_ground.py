@@ -14,7 +14,7 @@ from test_terrain import gliding_clip
 
 from agents import training
 from agents.checkpoint import load_resume
-from agents.provenance import options_of, commands, stages_behind
+from agents.provenance import commands, options_of, stages_behind
 from agents.shipping import ShipArgs, ship
 from agents.training import TrainArgs, train
 from envs import BatchSim, EnvConfig, Pushes, Randomisation, Terrain
