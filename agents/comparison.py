@@ -6,10 +6,8 @@ system is run in every scenario that suits it; docs/agents.md says what they and
 
 from __future__ import annotations
 
-import csv
-import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,14 +15,25 @@ from typing import Any
 import numpy as np
 import torch
 
+from agents.agent import load_agent
+from agents.checkpoint import find_policy, load_policy, read_card
+from agents.comparison_report import Row, row_of, table, write
+from agents.evaluation import env_config, roll_out
 from agents.kinematic.data import motions_record
 from agents.kinematic.drag_solver import DragPoser
 from agents.kinematic.interface import Body, KinematicSystem, Poses
+from agents.kinematic.physics import (
+    TRACKER,
+    avatar_samples,
+    base_of,
+    follow_poses,
+    reference_of,
+    rollout_samples,
+)
 from agents.kinematic.recurrent import RecurrentPoser
-from agents.kinematic.store import find_system, load_system, read_system_card
+from agents.kinematic.store import UNTRAINED, find_system, load_system, read_system_card
 from agents.run_folder import versions
 from questsim.errors import InputError, at_least
-from questsim.files import whole_file
 from questsim.joint_sensors import SENSOR_FPS, SensorSequence, readings
 from questsim.motion.motion import Motion
 from questsim.motion.retarget import to_clip
@@ -32,8 +41,6 @@ from questsim.pose_metrics import pose_samples
 from questsim.root_force import root_force
 from questsim.sensors import SENSOR_SETS
 
-SCHEMA, SCHEMA_VERSION = "questsim-comparison", 1
-FILES = ("comparison.json", "comparison.csv", "comparison.md")
 WINDOW = 40
 """Frames of the online protocol's sliding window (LGSIK-Poser)."""
 SILENT_FRAMES = 100
@@ -79,25 +86,6 @@ DRAG_SCENARIOS: tuple[Scenario, ...] = (
 """Those of DragPoser's table 2, and one iteration a frame."""
 
 
-@dataclass(frozen=True)
-class Row:
-    """One line of the table.
-
-    Attributes:
-        agent, scenario: what was run in which.
-        parameters: of the networks.
-        equal: means of the clips' means; pooled: means over all frames, long clips weigh more.
-        ms: milliseconds a frame, streamed.
-    """
-
-    agent: str
-    scenario: str
-    parameters: int
-    equal: dict[str, float | None]
-    pooled: dict[str, float | None]
-    ms: float
-
-
 def compare(
     agents: Sequence[str],
     motions: str,
@@ -111,7 +99,7 @@ def compare(
     Args:
         agents: systems: names, checkpoint folders or run folders.
         motions: what to reconstruct.
-        out: the folder for ``FILES``.
+        out: the folder for the tables.
         max_clips: at most so many, of all kinds.
         threads: of the networks.
         seed: of faults and synthetic motions.
@@ -129,16 +117,11 @@ def compare(
     if not agents:
         raise InputError("names no system", "--agents", "e.g. --agents ik runs/hmdposer")
     for agent in agents:
-        load_system(agent)
+        _check(agent)
     check_writable(out)
     torch.set_num_threads(threads)
-    recordings = load_recordings(motions, seed=seed)
-    recordings = [m.resampled(SENSOR_FPS) for m in _chosen(recordings, max_clips)]
-    rows = [
-        run(agent, scenario, recordings, seed)
-        for agent in agents
-        for scenario in scenarios(load_system(agent))
-    ]
+    recordings = chosen(load_recordings(motions, seed=seed), max_clips)
+    rows = [row for agent in agents for row in rows_of(agent, recordings, seed, threads)]
     context = {
         "agents": {agent: _training(agent) for agent in agents},
         "data": motions_record(motions, recordings),
@@ -152,18 +135,48 @@ def compare(
     return 0
 
 
-def _chosen(motions: Sequence[Motion], count: int | None) -> list[Motion]:
-    """A fixed subset that has all kinds of motion in proportion, as ``rolling.choose_clips``."""
+def chosen(motions: Sequence[Motion], count: int | None) -> list[Motion]:
+    """A fixed subset at 60 Hz, all kinds of motion in proportion, as ``rolling.choose_clips``."""
     ordered = sorted(motions, key=lambda m: (m.kind, m.style, m.name))
+    ordered = [motion.resampled(SENSOR_FPS) for motion in ordered]
     if count is None:
         return ordered
     picks = np.unique(np.linspace(0, len(ordered) - 1, min(count, len(ordered))).astype(int))
     return [ordered[i] for i in picks]
 
 
+def _is_policy(agent: str) -> bool:
+    if agent in UNTRAINED or find_system(agent) is not None:
+        return False
+    try:
+        find_policy(agent)
+    except InputError:
+        return False
+    return True
+
+
+def _check(agent: str) -> None:
+    """Refuse what is no kinematic system, with or without physics, and no policy."""
+    if not _is_policy(agent):
+        load_system(base_of(agent) or agent)
+
+
 def _training(agent: str) -> dict[str, Any]:
-    folder = find_system(agent)
+    if _is_policy(agent):
+        return read_card(find_policy(agent)).get("training", {})
+    folder = find_system(base_of(agent) or agent)
     return {} if folder is None else read_system_card(folder)["training"]
+
+
+def rows_of(agent: str, motions: Sequence[Motion], seed: int, threads: int) -> list[Row]:
+    """All rows of one agent: a system, one with physics behind it, or a torque policy."""
+    if _is_policy(agent):
+        return [run_policy(agent, motions, threads)]
+    base = base_of(agent)
+    if base is None:
+        return [run(agent, scenario, motions, seed) for scenario in scenarios(load_system(agent))]
+    plain = [s for s in scenarios(load_system(base)) if not (s.online or s.options or s.faults)]
+    return [row for scenario in plain for row in run_physics(agent, scenario, motions, threads)]
 
 
 def scenarios(system: KinematicSystem) -> tuple[Scenario, ...]:
@@ -208,17 +221,56 @@ def run(agent: str, scenario: Scenario, motions: Sequence[Motion], seed: int) ->
         seconds += time.perf_counter() - began
         frames += len(motion)
         scored.append(_scored(poses, motion))
-    names = list(scored[0])
-    by_clip = {name: [s[name].mean() for s in scored if len(s[name])] for name in names}
-    together = {name: np.concatenate([s[name] for s in scored]) for name in names}
-    return Row(
-        agent=agent,
-        scenario=scenario.name,
-        parameters=parameters(system),
-        equal={name: _mean(np.array(values)) for name, values in by_clip.items()},
-        pooled={name: _mean(values) for name, values in together.items()},
-        ms=1000.0 * seconds / frames,
-    )
+    return row_of(agent, scenario.name, parameters(system), scored, 1000.0 * seconds / frames)
+
+
+def run_physics(
+    agent: str, scenario: Scenario, motions: Sequence[Motion], threads: int
+) -> list[Row]:
+    """Two rows: a system's poses on the avatar without physics, and with.
+
+    Both are held against the motion on the avatar. Milliseconds are a frame of 60 Hz.
+    """
+    system = load_system(base_of(agent) or agent)
+    began = time.perf_counter()
+    poses = estimates(system, scenario.devices, motions)
+    references = [reference_of(p, m) for p, m in zip(poses, motions, strict=True)]
+    frames, kinematic = sum(map(len, motions)), time.perf_counter() - began
+    rollouts = follow_poses(references, motions, threads)
+    whole = time.perf_counter() - began
+    pairs = zip(references, rollouts, strict=True)
+    without = [avatar_samples(clip, rollout.reference) for clip, rollout in pairs]
+    behind = [rollout_samples(rollout) for rollout in rollouts]
+    count = parameters(system)
+    return [
+        row_of(agent, f"{scenario.name}, no physics", count, without, 1000.0 * kinematic / frames),
+        row_of(
+            agent, scenario.name, count + _policy_size(TRACKER), behind, 1000.0 * whole / frames
+        ),
+    ]
+
+
+def estimates(
+    system: KinematicSystem, devices: Sequence[str], motions: Sequence[Motion]
+) -> list[Poses]:
+    """What a system makes of what devices report of motions at 60 Hz."""
+    return [system.predict(readings(motion, devices), Body.of(motion)) for motion in motions]
+
+
+def run_policy(agent: str, motions: Sequence[Motion], threads: int) -> Row:
+    """A torque policy on the same motions, with the devices it was made for."""
+    policy = load_agent(agent)
+    began = time.perf_counter()
+    rollouts = roll_out(policy, [to_clip(m) for m in motions], env_config(policy), threads)
+    ms = 1000.0 * (time.perf_counter() - began) / sum(map(len, motions))
+    scored = [rollout_samples(rollout) for rollout in rollouts]
+    name = {sensors: name for name, sensors in _RECURRENT.items()}
+    told = name.get(policy.needs.sensors, policy.needs.sensors)
+    return row_of(agent, told, _policy_size(agent), scored, ms)
+
+
+def _policy_size(agent: str) -> int:
+    return sum(p.numel() for p in load_policy(find_policy(agent)).policy.parameters())
 
 
 def _reconstructed(
@@ -246,68 +298,3 @@ def parameters(system: KinematicSystem) -> int:
     """How many numbers a system's networks have; 0 without networks."""
     module = getattr(system, "module", None)
     return sum(p.numel() for p in module.parameters()) if module is not None else 0
-
-
-def _mean(values: np.ndarray) -> float | None:
-    return float(values.mean()) if len(values) else None
-
-
-# -- the table -----------------------------------------------------------------------------------
-
-_Getter = Callable[[Row], dict[str, float | None]]
-_WEIGHTS: dict[str, _Getter] = {"equal": lambda row: row.equal, "pooled": lambda row: row.pooled}
-
-
-def table(rows: Sequence[Row], weighting: str) -> str:
-    """A Markdown table; ``weighting`` is ``equal`` or ``pooled``."""
-    names = list(rows[0].pooled)
-    head = ["agent", "scenario", *names, "parameters", "ms a frame"]
-    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
-    for row in rows:
-        figures = [_WEIGHTS[weighting](row)[name] for name in names]
-        cells = ["-" if value is None else f"{value:.2f}" for value in figures]
-        told = [row.agent, row.scenario, *cells, f"{row.parameters:,}", f"{row.ms:.1f}"]
-        lines.append(f"| {' | '.join(told)} |")
-    return "\n".join(lines)
-
-
-def write(rows: Sequence[Row], context: dict[str, Any], out: Path) -> None:
-    """Write the table as Markdown, CSV and JSON.
-
-    Raises:
-        InputError: the folder cannot be written.
-    """
-    out.mkdir(parents=True, exist_ok=True)
-    report = {
-        "schema": SCHEMA,
-        "version": SCHEMA_VERSION,
-        "context": context,
-        "rows": [vars(row) for row in rows],
-    }
-    with whole_file(out / "comparison.json") as path:
-        path.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
-    with whole_file(out / "comparison.csv") as path, path.open("w", newline="") as file:
-        names = list(rows[0].pooled)
-        writer = csv.writer(file)
-        writer.writerow(["agent", "scenario", "weighting", *names, "parameters", "ms"])
-        for row in rows:
-            for weighting, figures in _WEIGHTS.items():
-                values = [figures(row)[name] for name in names]
-                writer.writerow(
-                    [row.agent, row.scenario, weighting, *values, row.parameters, row.ms]
-                )
-    parts = [
-        "# Comparison of kinematic systems",
-        "",
-        f"{context['data']['clips']} clips of `{context['data']['motions']}`, 60 frames a second.",
-        "",
-        "## All frames alike (length-weighted)",
-        "",
-        table(rows, "pooled"),
-        "",
-        "## All clips alike (equal-weighted)",
-        "",
-        table(rows, "equal"),
-    ]
-    with whole_file(out / "comparison.md") as path:
-        path.write_text("\n".join(parts) + "\n", encoding="utf-8")

@@ -34,7 +34,8 @@ class EvaluateArgs:
     """Let an agent follow clips from their first frame and score it."""
 
     agent: str = "questsim"
-    """A policy folder, a run folder, a shipped policy's name, zero or random."""
+    """A policy folder, a run folder, a shipped policy's name, zero or random; or a kinematic
+    system with physics behind it, e.g. hmdposer+physics."""
     motions: str = "synthetic"
     """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
     env: str | None = None
@@ -62,7 +63,8 @@ class EvaluateArgs:
     compare: bool = False
     """Compare kinematic systems (--agents) instead, on the same frames."""
     agents: tuple[str, ...] = ()
-    """With --compare: systems, each a name (ik), checkpoint folder or run folder."""
+    """With --compare: systems, each a name (ik), checkpoint folder or run folder, with or without
+    +physics after it; and policies."""
 
 
 def evaluate(args: EvaluateArgs) -> int:
@@ -92,6 +94,8 @@ def evaluate(args: EvaluateArgs) -> int:
         card = scorecard(args.agent, args.motions, args.out, args.max_clips, args.threads)
         print(format_scorecard(card))
         return 0
+    if args.agent.endswith("+physics"):
+        return _physics(args)
     agent = load_agent(args.agent)
     height = args.height if args.avatar_height is None else args.avatar_height
     config = env_config(agent, args.env, height)
@@ -102,7 +106,36 @@ def evaluate(args: EvaluateArgs) -> int:
         return _worlds(args, agent, clips, config)
     if args.max_clips is not None:
         clips = choose_clips(clips, args.max_clips)
-    rollouts = roll_out(agent, clips, config, args.threads)
+    return _report(args, agent, clips, config, roll_out(agent, clips, config, args.threads))
+
+
+def _physics(args: EvaluateArgs) -> int:
+    """A kinematic system with physics behind it, on what its first scenario's devices report."""
+    from agents.comparison import chosen, estimates, scenarios
+    from agents.kinematic.physics import TRACKER, base_of, follow_poses, reference_of
+    from agents.kinematic.store import load_system
+    from questsim.motion.spec import load_recordings
+
+    for option in ("env", "height", "avatar_height", "terrain", "worlds", "scorecard"):
+        if getattr(args, option):
+            raise InputError(f"does not go with {args.agent}", f"--{option.replace('_', '-')}")
+    system = load_system(base_of(args.agent) or args.agent)
+    motions = chosen(load_recordings(args.motions, seed=args.seed), args.max_clips)
+    poses = estimates(system, scenarios(system)[0].devices, motions)
+    references = [reference_of(p, m) for p, m in zip(poses, motions, strict=True)]
+    rollouts = follow_poses(references, motions, args.threads)
+    tracker = load_agent(TRACKER)
+    clips = [rollout.reference for rollout in rollouts]
+    return _report(args, tracker, clips, env_config(tracker), rollouts)
+
+
+def _report(
+    args: EvaluateArgs,
+    agent: Agent,
+    clips: Sequence[Clip],
+    config: EnvConfig,
+    rollouts: list[Rollout],
+) -> int:
     if args.out is None:
         print(format_table(score(rollouts)))
         return 0

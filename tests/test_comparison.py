@@ -107,7 +107,7 @@ def test_a_faulty_tracker_is_silent_for_a_hundred_frames_and_one_always_reports(
 
 
 def test_a_figure_there_is_nothing_to_average_for_is_a_dash(tmp_path):
-    from agents.comparison import Row
+    from agents.comparison_report import Row
 
     row = Row("a", "6", 10, {"pos_cm": None}, {"pos_cm": None}, 1.0)
     assert "| a | 6 | - | 10 | 1.0 |" in table([row], "equal")

@@ -9,9 +9,10 @@ from typing import Any
 from agents.checkpoint import CARD_FILE as POLICY_CARD
 from agents.checkpoint import SHIPPED, read_card
 from agents.kinematic.ik import DEVICES as IK_DEVICES
+from agents.kinematic.physics import SUFFIX, TRACKER
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import CARD_FILE, read_system_card
-from agents.licence import OURS, licence_of
+from agents.licence import OURS, licence_of, strictest
 
 KEYS = ("agent", "preset", "title", "sensors", "parameters", "licence", "weights")
 
@@ -65,7 +66,28 @@ def catalogue() -> list[dict[str, Any]]:
             "weights": False,
         }
     )
-    return [*entries, *_policies()]
+    return [*entries, *_with_physics(entries), *_policies()]
+
+
+def _with_physics(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """What can be run with the tracker behind it: systems that are there."""
+    from agents.checkpoint import load_policy
+
+    tracker = load_policy(SHIPPED / TRACKER)
+    behind = sum(p.numel() for p in tracker.policy.parameters())
+    licence = licence_of(tracker.card["training"])
+    return [
+        {
+            **entry,
+            "agent": entry["agent"] + SUFFIX,
+            "title": f"{entry['title']}, followed by the tracker's torques",
+            "parameters": entry["parameters"] + behind,
+            "licence": strictest([entry["licence"], licence]),
+            "weights": True,
+        }
+        for entry in entries
+        if entry["weights"] or not entry["parameters"]
+    ]
 
 
 def _policies() -> list[dict[str, Any]]:
@@ -99,6 +121,6 @@ def list_agents(args: AgentsArgs) -> None:
         if not entry["parameters"]:
             told = "needs none"
         print(
-            f"{entry['agent']:12} {entry['preset']:6} {entry['parameters'] / 1e6:7.2f} M  "
+            f"{entry['agent']:19} {entry['preset']:6} {entry['parameters'] / 1e6:7.2f} M  "
             f"{told:11}  {entry['licence']:14} {', '.join(entry['sensors']):30} {entry['title']}"
         )

@@ -1,0 +1,111 @@
+"""Physics behind a kinematic system: the avatar follows its poses by the tracker's torques.
+
+The poses are retargeted to the avatar of the user's stature and become the reference of the
+shipped ``tracker``; what comes out is compared with what the user did. The tracker reads five
+frames ahead, and velocities there take one more: the avatar shows the pose of ``LATENCY_FRAMES``
+ago, as QuestSim does that reads as many frames of the devices. Nothing later than that is used
+but two constants of each clip, the heights of the floor and of the ankle, which a calibration
+would tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from agents.agent import load_agent
+from agents.evaluation import env_config, roll_out
+from agents.kinematic.interface import Poses
+from questsim.metrics import Rollout
+from questsim.motion.clip import FPS, Clip
+from questsim.motion.kinematics import clip_from_qpos
+from questsim.motion.motion import Motion
+from questsim.motion.retarget import to_clip
+from questsim.motion.retarget_back import to_motion
+from questsim.pose_metrics import HEAD, pose_samples
+from questsim.root_force import root_force
+
+SUFFIX = "+physics"
+"""After a system's name: that system with physics behind it."""
+TRACKER = "tracker"
+LATENCY_FRAMES = 6
+_FEWEST = 4
+"""Frames that jitter and accelerations take."""
+
+
+def base_of(agent: str) -> str | None:
+    """The kinematic system of a name that ends with ``SUFFIX``; None for other names."""
+    return agent.removesuffix(SUFFIX) if agent.endswith(SUFFIX) else None
+
+
+def on_own_body(poses: Poses, motion: Motion) -> Motion:
+    """Estimated poses on the user's measured bones, the head where the system has it.
+
+    Args:
+        poses: of all frames of ``motion``, perhaps of an estimated body.
+        motion: says whose bones, and what the poses are called.
+    """
+    there, _ = poses.forward_kinematics()
+    origin = np.zeros_like(poses.root_position)
+    turned = replace(motion, root_position=origin, rotations=poses.rotations)
+    head = turned.forward_kinematics()[0][:, HEAD]
+    return replace(turned, root_position=there[:, HEAD] - head)
+
+
+def reference_of(poses: Poses, motion: Motion) -> Clip:
+    """What the tracker is asked to follow: the poses on the avatar, at its frame rate.
+
+    Raises:
+        InputError: the stature is outside the range of bodies.
+    """
+    return to_clip(on_own_body(poses, motion))
+
+
+def follow_poses(
+    references: Sequence[Clip], motions: Sequence[Motion], threads: int = 1
+) -> list[Rollout]:
+    """Let the avatar follow what a system made of motions, and hold it against those.
+
+    Args:
+        references: one ``reference_of`` a motion.
+        motions: what the users did.
+        threads: of the physics.
+    """
+    tracker = load_agent(TRACKER)
+    rollouts = roll_out(tracker, references, env_config(tracker), threads)
+    return [
+        replace(rollout, reference=to_clip(motion))
+        for rollout, motion in zip(rollouts, motions, strict=True)
+    ]
+
+
+def clip_of(rollout: Rollout) -> Clip:
+    """What the avatar did, until it was lost."""
+    frames = rollout.scored_frames
+    root = [rollout.link_position[:frames, 0], rollout.link_quat[:frames, 0]]
+    qpos = np.concatenate([*root, rollout.joint_angles[:frames]], axis=-1)
+    return clip_from_qpos(rollout.name, qpos, rollout.height_m)
+
+
+def avatar_samples(clip: Clip, truth: Clip) -> dict[str, np.ndarray]:
+    """``pose_samples`` of two clips of the avatar on its 22 joints, and the force on the root.
+
+    Args:
+        clip: what is measured.
+        truth: what the user did, at least as long.
+    """
+    if len(clip) < _FEWEST:
+        return {}
+    got, want = to_motion(clip), to_motion(truth)
+    there = want.forward_kinematics()[0][: len(clip)]
+    rotations = want.rotations[: len(clip)]
+    samples = pose_samples(got.forward_kinematics()[0], got.rotations, there, rotations, FPS)
+    return samples | {"root_force_bw": root_force(clip)}
+
+
+def rollout_samples(rollout: Rollout) -> dict[str, np.ndarray]:
+    """``avatar_samples`` of a rollout until it was lost, and whether it never was, in percent."""
+    success = {"success_percent": np.array([100.0 * rollout.completed])}
+    return avatar_samples(clip_of(rollout), rollout.reference) | success
