@@ -40,7 +40,7 @@ safety-relevant use."""
 LIMITS = """\
 - It knows the motions above and their like. Others can make the avatar fall; once it has fallen
   or lags far behind, it does not catch up.
-- It was trained on flat ground, without obstacles, pushes or other people.
+- It was trained {ground}, without obstacles or other people.
 - It fits this body, order of joints, observation and 36 Hz only; anything else is refused.
 - A body is described by its height alone: other proportions, strength or age are not modelled."""
 
@@ -65,7 +65,9 @@ def model_card(
     training = agent.card["training"]
     tracker = agent.needs.privileged
     figures = [line for part in metrics for line in _figures(part)]
-    limits = LIMITS if tracker else LIMITS + "\n" + SPARSE_LIMITS
+    limits = LIMITS.format(ground=_ground(training))
+    if not tracker:
+        limits += "\n" + SPARSE_LIMITS
     if not tracker and agent.needs.future_frames:
         delay = round(1000.0 * agent.needs.future_frames / agent.card["fps"], -1)
         limits += (
@@ -136,6 +138,12 @@ def read_metrics(path: Path, training: Mapping[str, Any]) -> dict[str, Any]:
             "evaluate this one",
         )
     return metrics
+
+
+def _ground(training: Mapping[str, Any]) -> str:
+    ground = training["ground"]
+    where = "on flat ground" if ground == "flat" else f"on `{ground}` ground (see environments)"
+    return where + (", under pushes at the chest" if training["pushed"] else ", without pushes")
 
 
 def _purpose(agent: PolicyAgent) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -51,7 +51,8 @@ def provenance(folder: Path) -> dict[str, Any]:
 
     Returns:
         ``commands``, one a stage; ``stages``, each with ``stage``, ``steps``, ``minutes`` and
-        ``motions``, the policy's own last; ``licence`` of the weights, from the motions of all
+        ``motions``, the policy's own last; ``ground`` it learnt on, ``flat`` if none is named,
+        and whether it was ``pushed``; ``licence`` of the weights, from the motions of all
         stages; ``versions`` of the packages.
 
     Raises:
@@ -69,6 +70,8 @@ def provenance(folder: Path) -> dict[str, Any]:
             }
             for part in parts
         ],
+        "ground": read_run(parts[-1].run)["args"].get("env") or "flat",
+        "pushed": read_run(parts[-1].run)["args"].get("pushes") is not None,
         "licence": strictest(name for part in parts for name in part.training["licences"]),
         "versions": read_run(parts[-1].run)["versions"],
     }
@@ -95,8 +98,7 @@ def stages_behind(folder: Path) -> list[StagePart]:
         before.append(find_policy(run / "student"))
     earlier: list[StagePart] = []
     for policy in before:
-        # Two ways may lead to the same teacher.
-        earlier += [part for part in stages_behind(policy) if part not in earlier]
+        earlier = _joined(earlier, stages_behind(policy))
     last = run / stage / "last"
     end = _training(last) if (last / CARD_FILE).exists() else training
     return [*earlier, StagePart(run, training, end["steps"], end["minutes"])]
@@ -119,11 +121,57 @@ def said(record: Mapping[str, Any], stage: str, option: str) -> Any:
 
 
 def _shipped_stages(folder: Path, training: dict[str, Any]) -> list[StagePart]:
-    """What a shipped policy's description tells of the stages behind it."""
+    """What a shipped policy's description tells of the stages behind it.
+
+    Its own run folder is called after it, since another run will be the ``runs/NAME`` of the card.
+    """
+    names = {"runs/NAME": f"runs/{folder.name}", "runs/TEACHER": f"runs/{folder.name}-teacher"}
     return [
-        StagePart(folder, training | stage, stage["steps"], stage["minutes"], command)
+        StagePart(
+            folder,
+            training | stage,
+            stage["steps"],
+            stage["minutes"],
+            _renamed(command, names),
+        )
         for stage, command in zip(training["stages"], training["commands"], strict=True)
     ]
+
+
+def _joined(parts: list[StagePart], more: Sequence[StagePart]) -> list[StagePart]:
+    """``parts`` and what ``more`` adds: two ways may lead to the same teacher.
+
+    Two shipped policies tell of their common teacher each under its own run's name; the first
+    name is kept.
+    """
+    parts, names = list(parts), dict[str, str]()
+    for part in more:
+        twin = next((known for known in parts if _is_same(known, part)), None)
+        if twin is None:
+            command = None if part.command is None else _renamed(part.command, names)
+            parts.append(replace(part, command=command))
+        elif part.command is not None and twin.command is not None:
+            names[_out(part.command)] = _out(twin.command)
+    return parts
+
+
+def _is_same(a: StagePart, b: StagePart) -> bool:
+    """Whether two descriptions are of one training."""
+    if (a.command is None) != (b.command is None):
+        return False
+    if a.command is None and a.run != b.run:
+        return False
+    what = [(p.training["stage"], p.training["motions"], p.steps, p.minutes) for p in (a, b)]
+    return what[0] == what[1]
+
+
+def _renamed(command: str, names: Mapping[str, str]) -> str:
+    return shlex.join(names.get(word, word) for word in shlex.split(command))
+
+
+def _out(command: str) -> str:
+    words = shlex.split(command)
+    return words[words.index("--out") + 1]
 
 
 def run_of(folder: Path) -> Path:
@@ -150,7 +198,7 @@ def commands(parts: Sequence[StagePart]) -> list[str]:
     """The command lines that train alike, one a stage.
 
     The run is called ``runs/NAME``, whatever its folder was; another run's teacher is in
-    ``runs/TEACHER``; a shipped policy has its own name.
+    ``runs/TEACHER``; that of a shipped policy has its name.
     """
     names, lines, begun = _run_names(parts), [], set()
     for part in parts:
@@ -162,10 +210,10 @@ def commands(parts: Sequence[StagePart]) -> list[str]:
         words += ["--out", names[run]]
         record = read_run(run)
         if stage == "student" and (teacher := said(record, stage, "teacher")):
-            words += ["--teacher", _called(find_teacher(teacher), names)]
+            words += ["--teacher", _called(find_teacher(teacher), names, parts)]
         if start := said(record, stage, "start"):
             found = find_teacher(start) if stage == "teacher" else find_policy(start)
-            words += ["--start", _called(found, names)]
+            words += ["--start", _called(found, names, parts)]
         if run in begun:
             words.append("--resume")
         begun.add(run)
@@ -174,21 +222,25 @@ def commands(parts: Sequence[StagePart]) -> list[str]:
 
 
 def _run_names(parts: Sequence[StagePart]) -> dict[Path, str]:
-    """What command lines call each run folder and each shipped policy's folder."""
+    """What command lines call each run folder; shipped policies' lines have their names already."""
     names = {parts[-1].run: "runs/NAME"}
     for part in reversed(parts):
         if part.command is not None:
-            names.setdefault(part.run, part.run.name)
-        elif part.training["stage"] == "teacher" and "runs/TEACHER" not in names.values():
+            continue
+        if part.training["stage"] == "teacher" and "runs/TEACHER" not in names.values():
             names.setdefault(part.run, "runs/TEACHER")
         else:
             names.setdefault(part.run, f"runs/{part.run.name}")
     return names
 
 
-def _called(folder: Path, names: Mapping[Path, str]) -> str:
-    """What command lines call the run of a policy folder, or a shipped policy."""
-    return names[folder] if folder in names else names[run_of(folder)]
+def _called(folder: Path, names: Mapping[Path, str], parts: Sequence[StagePart]) -> str:
+    """What command lines call the run of a policy folder, shipped or not."""
+    training = _training(folder)
+    if "stages" not in training:
+        return names[run_of(folder)]
+    own = _shipped_stages(folder, training)[-1]
+    return next(_out(p.command) for p in parts if p.command is not None and _is_same(p, own))
 
 
 def options_of(args: Mapping[str, Any]) -> list[str]:

@@ -117,7 +117,7 @@ def test_a_teacher_begun_with_a_shipped_one_is_not_mistaken_for_it(
     train(tiny(tmp_path / "b", start=Path("tracker")))
     lines = commands(stages_behind(tmp_path / "b" / "student" / "best"))
     assert len(lines) == 3
-    assert lines[1].endswith("--out runs/NAME --start tracker")
+    assert lines[1].endswith("--out runs/NAME --start runs/tracker")
     assert lines[2].endswith("--out runs/NAME --resume")
 
 

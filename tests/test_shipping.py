@@ -208,8 +208,8 @@ def test_student_of_a_shipped_teacher_repeats_how_that_was_trained(run, tmp_path
     assert training["licence"] == "CC-BY-NC-4.0"
     assert [stage["stage"] for stage in training["stages"]] == ["teacher", "student"]
     taught, student = training["commands"]
-    assert "--stage teacher --minutes 180 --out runs/NAME" in taught
-    assert student.endswith("--out runs/NAME --teacher tracker")
+    assert "--stage teacher --minutes 180 --out runs/tracker" in taught
+    assert student.endswith("--out runs/NAME --teacher runs/tracker")
 
 
 def test_a_shipped_teacher_keeps_its_critic(run, tmp_path):
