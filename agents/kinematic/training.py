@@ -20,7 +20,9 @@ from agents.overrides import with_overrides
 from agents.run_folder import (
     RECORD,
     check_same_run,
+    default_of,
     note_resume,
+    plain,
     read_run,
     refuse_existing,
     start_run,
@@ -91,7 +93,7 @@ def train_kinematic(args: TrainArgs) -> int:
 
 def _refuse_foreign(args: TrainArgs) -> None:
     for field in fields(args):
-        if field.name in NOT_OURS and getattr(args, field.name) != field.default:
+        if field.name in NOT_OURS and plain(getattr(args, field.name)) != plain(default_of(field)):
             option = "--" + field.name.replace("_", "-")
             raise InputError(f"is for torque policies, not {args.agent}", option, "leave it out")
 
