@@ -3,6 +3,7 @@
 import os
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,53 @@ def test_the_reference_and_the_devices_are_those_of_the_clip():
     assert shown.device_position.shape == (3, 3)
 
 
+def test_a_user_of_another_size_stands_in_its_own_where_the_avatar_is_to_be():
+    live = session("zero", height_m=1.9, avatar_height_m=1.5)
+    begun, shown = live.snapshot(), advance(live, 10)
+    assert (shown.stage.height_m, shown.stage.user_m) == (1.5, 1.9)
+    clip = swaying_clip("first", frames=144)
+    small, tall = clip.scaled(1.5).link_position[10], clip.scaled(1.9).link_position[10]
+    spot = (small[0] - tall[0]) * [1.0, 1.0, 0.0]
+    np.testing.assert_allclose(shown.reference_position, tall + spot, atol=1e-6)
+    np.testing.assert_allclose(shown.reference_qpos[:3], shown.reference_position[0])
+    head = LINKS.index("head")
+    assert np.linalg.norm(shown.device_position[0] - small[head]) < 0.25  # as the avatar is told
+    first = clip.scaled(1.5).link_position[0]
+    assert np.linalg.norm(begun.position - first, axis=-1).max() < 0.03
+
+
+def test_a_user_of_another_size_stands_on_the_terrain():
+    live = session("zero", height_m=1.9, avatar_height_m=1.5, terrain="rough", roughness=2.0)
+    shown = advance(live, 5)
+    assert shown.stage.ground is not None
+    above = shown.reference_position[0, 2] - float(shown.stage.ground.ground_at(shown.position[0]))
+    tall = swaying_clip("first", frames=144).scaled(1.9)
+    assert above == pytest.approx(tall.link_position[5, 0, 2], abs=0.03)
+
+
+def test_an_avatar_of_its_users_height_goes_along_with_it():
+    live = session("zero")
+    live.change(height_m=1.6)
+    assert live.settings.avatar_m == 1.6
+    live.change(avatar_height_m=1.5)
+    live.change(height_m=1.8)
+    assert (live.settings.height_m, live.settings.avatar_m) == (1.8, 1.5)
+    live.change(avatar_height_m=1.8)
+    live.change(height_m=1.7)
+    assert live.settings.avatar_m == 1.7
+
+
+def test_a_seated_clip_brings_its_chair_and_takes_it_away():
+    seated = replace(swaying_clip("seated", frames=54), kind="sit")
+    live = DemoSession([swaying_clip("first"), seated], DRIVERS, Settings("first", "zero"))
+    assert live.change(clip="seated").thing == "chair" and live.snapshot().thing is not None
+    assert live.change(clip="first").thing == "none"
+    live.change(thing="ball")
+    assert live.change(clip="seated").thing == "ball"  # what was chosen stays
+    live.change(thing="none")
+    assert live.change(clip="first").thing == "none"
+
+
 def test_the_avatar_follows_and_its_feet_bear_its_weight():
     shown = advance(session(), 60)
     assert shown.outcome == "" and shown.error_m < 0.1
@@ -143,6 +191,7 @@ def test_a_change_of_speed_goes_on_from_where_it_is():
         {"sensors": "H"},
         {"sensors": "H+2C+2IMU"},
         {"height_m": 3.0},
+        {"avatar_height_m": 3.0},
         {"terrain": "sea"},
         {"roughness": 5.0},
         {"thing": "elephant"},

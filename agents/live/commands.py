@@ -18,14 +18,14 @@ from agents.checkpoint import CARD_FILE, SHIPPED
 from agents.live.drivers import Driver, TorqueDriver
 from agents.live.recording import record
 from agents.live.runner import Runner
-from agents.live.session import NOTHING, DemoSession
+from agents.live.session import DemoSession
+from agents.live.surroundings import NOTHING, needed_thing
 from agents.live.watcher import Watcher, load_checkpoint, newest_checkpoint
 from agents.rolling import choose_clips
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError, at_least
 from questsim.evaluation_report import check_writable
 from questsim.motion.clip import Clip
-from questsim.motion.synthetic import SEATED
 from questsim.viewing.live import Settings
 from questsim.viewing.page import Page
 from questsim.viewing.page_server import DEFAULT_PORT, LOOPBACK
@@ -50,7 +50,9 @@ class WatchArgs:
     """An object in the way: none, ball, box, hurdle or chair; by default a chair where a clip
     that is seated sits, and none for others."""
     height: float = DEFAULT_HEIGHT_M
-    """Stature of user and avatar in metres."""
+    """Stature of the user in metres."""
+    avatar_height: float | None = None
+    """Stature of the avatar in metres, if it is not its user's: the devices are scaled to it."""
     host: str = LOOPBACK
     """Where to listen; anything else than the default lets others watch and control."""
     port: int = DEFAULT_PORT
@@ -160,9 +162,9 @@ def demo_session(args: DemoArgs) -> DemoSession:
 
 def _settings(args: WatchArgs, clips: Sequence[Clip], agent: str) -> Settings:
     """What a session begins with."""
-    kinds = {clip.name: clip.kind for clip in clips}
-    first = args.clip or (FIRST_CLIP if FIRST_CLIP in kinds else next(iter(kinds)))
-    needed = "chair" if kinds.get(first) in SEATED else NOTHING
+    known = {clip.name: clip for clip in clips}
+    first = args.clip or (FIRST_CLIP if FIRST_CLIP in known else next(iter(known)))
+    needed = needed_thing(known[first]) if first in known else NOTHING
     return Settings(
         clip=first,
         agent=agent,
@@ -171,6 +173,7 @@ def _settings(args: WatchArgs, clips: Sequence[Clip], agent: str) -> Settings:
         roughness=args.roughness,
         thing=args.thing or needed,
         height_m=args.height,
+        avatar_height_m=None if args.avatar_height == args.height else args.avatar_height,
     )
 
 

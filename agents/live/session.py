@@ -7,22 +7,27 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
-import mujoco
 import numpy as np
 
-from agents.live.drivers import Driver, config_for, usable_sensors
-from envs.config import EnvConfig
+from agents.live.drivers import Driver, usable_sensors
+from agents.live.surroundings import (
+    NOTHING,
+    config_of,
+    in_own_size,
+    needed_thing,
+    object_parts,
+    object_pose,
+)
 from envs.core import BatchSim
-from envs.objects import OBJECTS, WorldObject
-from envs.terrain import COURSE, RANGES, TERRAINS, Terrain
-from envs.world import build_world
+from envs.objects import OBJECTS
+from envs.terrain import COURSE, TERRAINS
 from questsim import rotations as rot
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
 from questsim.errors import InputError
 from questsim.motion.clip import FPS, Clip
 from questsim.sensors import device_poses, sensor_set
 from questsim.skeleton import NUM_DOFS
-from questsim.viewing.live import ROUGHNESS, SPEEDS, Choices, Part, Settings, Snapshot, Stage
+from questsim.viewing.live import ROUGHNESS, SPEEDS, Choices, Settings, Snapshot, Stage
 
 AFTER_FALL_S, AFTER_END_S = 2.0, 0.7
 """How long an episode that is over goes on before the clip begins again."""
@@ -33,11 +38,9 @@ GROUNDS = tuple(name for name, terrain in TERRAINS.items() if terrain.kind != CO
 SEEN_M = 14.0
 """How far around the clip's path viewers see the ground."""
 
-NOTHING = "none"
 PUSH_S = 0.2
 MAX_PUSH_N = 1000.0
 _AVATAR = 7 + NUM_DOFS
-_OBJECT = "object0"
 
 
 class DemoSession:
@@ -124,16 +127,16 @@ class DemoSession:
                 duration_s=clip.duration,
                 position=sim.link_positions[0].copy(),
                 quat=sim.link_quats[0].copy(),
-                reference_position=clip.link_position[now],
+                reference_position=self._user_position[now],
                 reference_quat=clip.link_quat[now],
                 device_position=devices[0],
                 device_quat=devices[1],
                 contact_force=sim.contact_force[0].copy(),
                 qpos=sim.qpos[0, :_AVATAR].copy(),
-                reference_qpos=clip.qpos[now],
+                reference_qpos=self._user_qpos[now],
                 error_m=float(sim.error[0]) if now else 0.0,
                 push_n=sim.pusher.force[0].copy(),
-                thing=_pose(sim) if self._stage.parts else None,
+                thing=object_pose(sim) if self._stage.parts else None,
                 outcome=self._outcome,
                 paused=self._paused,
                 note=self.note,
@@ -144,7 +147,9 @@ class DemoSession:
     def change(self, **settings: Any) -> Settings:
         """Change some settings and begin the clip again, unless only the speed is changed.
 
-        Sensors that a new agent cannot use give way to its own.
+        Sensors that a new agent cannot use give way to its own. An object that is what the clip
+        needs, a chair or none, gives way to what the next clip needs. An avatar of its user's
+        height keeps to it.
 
         Raises:
             InputError: there is no such setting, or its value cannot be used.
@@ -154,8 +159,12 @@ class DemoSession:
             if unknown:
                 raise InputError("there is no such setting", ", ".join(sorted(unknown)))
             wanted = replace(self._settings, **settings)
+            if wanted.avatar_height_m == wanted.height_m:
+                wanted = replace(wanted, avatar_height_m=None)
             if wanted == self._settings:
                 return wanted
+            if "thing" not in settings and self._settings.thing == self._needed(self._settings):
+                wanted = replace(wanted, thing=self._needed(wanted))
             if wanted != replace(self._settings, speed=wanted.speed):
                 driver = self._driver(wanted.agent)
                 if "sensors" not in settings and wanted.sensors not in usable_sensors(driver):
@@ -218,7 +227,7 @@ class DemoSession:
         settings = self._settings
         if settings.sensors not in usable_sensors(driver):
             settings = replace(settings, sensors=driver.needs.sensors)
-        if _config(driver, settings) == self._sim.config:
+        if config_of(driver, settings) == self._sim.config:
             driver.bind(self._sim)
             driver.reset()
             return
@@ -257,6 +266,9 @@ class DemoSession:
         """The clip's first frame."""
         sim.reset()
         self._placed = sim.placed_clip(0, self._clips[self._settings.clip])
+        self._user_position, self._user_qpos = in_own_size(
+            self._placed, sim.placement.field, float(self._settings.height_m)
+        )
         self._drivers[self._settings.agent].reset()
         self._outcome, self._hold = "", 0
 
@@ -266,6 +278,11 @@ class DemoSession:
         if name not in self._drivers:
             self._drivers[name] = self._make_driver[name]()
         return self._drivers[name]
+
+    def _needed(self, settings: Settings) -> str:
+        """The object without which the settings' clip makes no sense."""
+        clip = self._clips.get(settings.clip)
+        return NOTHING if clip is None else needed_thing(clip)
 
     def _check(self, settings: Settings) -> None:
         """Refuse what cannot be simulated.
@@ -281,9 +298,11 @@ class DemoSession:
                 f"{settings.agent} cannot use sensors {settings.sensors!r}",
                 fix=f"choose from {', '.join(usable)}",
             )
-        height = _number(settings.height_m, "height")
-        if not MIN_HEIGHT_M <= height <= MAX_HEIGHT_M:
-            raise InputError(f"height {height:g} m is not within {MIN_HEIGHT_M}-{MAX_HEIGHT_M} m")
+        for what, value in (("height", settings.height_m), ("avatar height", settings.avatar_m)):
+            height = _number(value, what)
+            if not MIN_HEIGHT_M <= height <= MAX_HEIGHT_M:
+                limits = f"{MIN_HEIGHT_M}-{MAX_HEIGHT_M} m"
+                raise InputError(f"{what} {height:g} m is not within {limits}")
         if settings.terrain not in GROUNDS:
             known = ", ".join(GROUNDS)
             raise InputError(
@@ -304,7 +323,7 @@ class DemoSession:
         """A simulation of the settings, at the clip's first frame."""
         self._check(settings)
         driver = self._driver(settings.agent)
-        config = _config(driver, settings)
+        config = config_of(driver, settings)
         sim = BatchSim([self._clips[settings.clip]], config, 1, num_threads=1)
         driver.bind(sim)
         self._settings = settings
@@ -313,60 +332,12 @@ class DemoSession:
         ground = None if field is None else field.around(self._placed.qpos[:, :2], SEEN_M)
         self._stage = Stage(
             self._stage.number + 1,
-            float(settings.height_m),
+            float(settings.avatar_m),
             ground,
-            _parts(sim) if settings.thing != NOTHING else (),
+            object_parts(sim) if settings.thing != NOTHING else (),
+            float(settings.height_m),
         )
         return sim
-
-
-def _config(driver: Driver, settings: Settings) -> EnvConfig:
-    """The environment of a session's settings."""
-    config = config_for(driver, settings.sensors, float(settings.height_m))
-    return replace(
-        config,
-        terrain=scaled_terrain(settings.terrain, settings.roughness),
-        objects=() if settings.thing == NOTHING else (WorldObject(settings.thing),),
-    )
-
-
-def _parts(sim: BatchSim) -> tuple[Part, ...]:
-    """The shapes that the session's object is made of."""
-    config = sim.config
-    model = build_world(
-        float(sim.heights[0]), config.body_preset, config.self_collision, config.terrain,
-        config.objects,
-    ).model  # fmt: skip
-    body = model.body(_OBJECT)
-    first, count = int(body.geomadr[0]), int(body.geomnum[0])
-    return tuple(
-        Part(
-            "ball" if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE else "box",
-            tuple(model.geom_size[geom]),
-            tuple(model.geom_pos[geom]),
-        )
-        for geom in range(first, first + count)
-    )
-
-
-def _pose(sim: BatchSim) -> tuple[np.ndarray, np.ndarray]:
-    """Where the session's object is, and its orientation."""
-    pose = sim.qpos[0, _AVATAR : _AVATAR + 7].copy()
-    return pose[:3], pose[3:]
-
-
-def scaled_terrain(name: str, roughness: float) -> Terrain | None:
-    """The named terrain with its relief multiplied; None for flat ground."""
-    if name == "flat":
-        return None
-    terrain = TERRAINS[name]
-    return replace(
-        terrain,
-        amplitude_m=terrain.amplitude_m * roughness,
-        slope_deg=terrain.slope_deg * roughness,
-        step_height_m=terrain.step_height_m * roughness,
-        gap_m=max(terrain.gap_m * roughness, RANGES["gap_m"][0]),
-    )
 
 
 def _number(value: Any, what: str) -> float:

@@ -54,12 +54,19 @@ class Stage:
         height_m: the avatar's stature.
         ground: the floor near the clip's path; None for a flat one at z = 0.
         parts: of the object that is there; empty without one.
+        user_height_m: the stature of the person that it follows; None for the avatar's.
     """
 
     number: int
     height_m: float = DEFAULT_HEIGHT_M
     ground: HeightField | None = None
     parts: tuple[Part, ...] = ()
+    user_height_m: float | None = None
+
+    @property
+    def user_m(self) -> float:
+        """The user's stature in metres."""
+        return self.height_m if self.user_height_m is None else self.user_height_m
 
 
 @dataclass(frozen=True)
@@ -72,8 +79,10 @@ class Snapshot:
         time_s: seconds since the clip's first frame.
         duration_s: of the clip.
         position, quat: ``(16, 3)`` metres and ``(16, 4)`` wxyz, the avatar's links.
-        reference_position, reference_quat: the same of the person that it follows.
-        device_position, device_quat: ``(D, 3)``, ``(D, 4)`` of the user's devices.
+        reference_position, reference_quat: the same of the person that it follows, in that
+            person's own size.
+        device_position, device_quat: ``(D, 3)``, ``(D, 4)`` of the user's devices, as they are
+            scaled to the avatar.
         contact_force: ``(2, 3)`` newtons that the floor gives to the left and the right foot.
         qpos, reference_qpos: ``(40,)`` both poses, as pictures take them.
         error_m: mean distance of the links from the reference.
@@ -133,8 +142,10 @@ class Settings:
         clip, agent, sensors, terrain, thing: names out of ``Choices``.
         roughness: multiplies what the terrain has of its own, such as ±4 cm of rough ground or
             steps of 8 cm; within ``ROUGHNESS``.
-        height_m: stature of user and avatar.
+        height_m: the user's stature.
         speed: how fast time goes; 1 is real time.
+        thing: the object, or ``"none"``.
+        avatar_height_m: the avatar's stature; None for the user's.
     """
 
     clip: str
@@ -145,6 +156,12 @@ class Settings:
     height_m: float = DEFAULT_HEIGHT_M
     speed: float = 1.0
     thing: str = "none"
+    avatar_height_m: float | None = None
+
+    @property
+    def avatar_m(self) -> float:
+        """The avatar's stature in metres."""
+        return self.height_m if self.avatar_height_m is None else self.avatar_height_m
 
 
 @dataclass(frozen=True)

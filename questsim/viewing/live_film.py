@@ -71,8 +71,11 @@ def take_frames(take: Take, width: int, height: int, stride: int = 1) -> Iterato
     first = take.moments[0].stage
     position = np.stack([m.position for m in take.moments])
     quat = np.stack([m.quat for m in take.moments])
+    outline = outline_points(position, quat, first.height_m)
+    if first.user_m > first.height_m:
+        outline = np.concatenate([outline, _user_outline(take)], axis=1)
     cameras = follow(
-        outline_points(position, quat, first.height_m),
+        outline,
         position[:, 0],
         three_quarter_azimuth(np.stack([m.reference_quat[0] for m in take.moments])),
         width / height,
@@ -81,12 +84,20 @@ def take_frames(take: Take, width: int, height: int, stride: int = 1) -> Iterato
     )
     figures = [
         Figure(first.height_m),
-        Figure(first.height_m, REFERENCE.faded(_GHOST_OPACITY), devices=False),
+        Figure(first.user_m, REFERENCE.faded(_GHOST_OPACITY), devices=False),
     ]
     with SceneRenderer(figures, width, height, first.ground) as renderer:
         for moment, camera in list(zip(take.moments, cameras, strict=True))[::stride]:
             poses = [moment.qpos, moment.reference_qpos]
             yield _captioned(renderer.render(poses, camera, _marks(moment)), moment, take.settings)
+
+
+def _user_outline(take: Take) -> np.ndarray:
+    return outline_points(
+        np.stack([m.reference_position for m in take.moments]),
+        np.stack([m.reference_quat for m in take.moments]),
+        take.moments[0].stage.user_m,
+    )
 
 
 def _marks(moment: Snapshot) -> list[Marker | Arrow]:
@@ -118,10 +129,13 @@ def _captioned(picture: np.ndarray, moment: Snapshot, settings: Settings) -> np.
     state = "fell" if fell else f"error {100.0 * moment.error_m:.1f} cm"
     push = np.linalg.norm(moment.push_n)
     pushed = f"   push {push:.0f} N" if push else ""
+    stage = moment.stage
+    differ = stage.user_m != stage.height_m
+    sizes = f"   {stage.height_m:.2f} m, its user {stage.user_m:.2f} m" if differ else ""
     return caption(
         picture,
         {
-            "top left": f"{settings.clip}   {ground}   agent {settings.agent}",
+            "top left": f"{settings.clip}   {ground}   agent {settings.agent}{sizes}",
             "bottom left": f"{moment.time_s:.1f} s   {state}{pushed}",
             "bottom right": LEGEND if picture.shape[1] >= 640 else "",
         },

@@ -75,7 +75,15 @@ class PagePanel:
             self._choice("Clip", "clip", choices.clips)
             self._choice("Agent", "agent", choices.agents)
             self._choice("Sensors", "sensors", choices.sensors)
-            self._slider("Height (m)", "height_m", (MIN_HEIGHT_M, MAX_HEIGHT_M), 0.01)
+            heights = (MIN_HEIGHT_M, MAX_HEIGHT_M)
+            self._slider("User (m)", "height_m", heights, 0.01, "Stature of the user")
+            self._slider(
+                "Avatar (m)",
+                "avatar_height_m",
+                heights,
+                0.01,
+                "Stature of the avatar; it goes along with its user's while both are the same",
+            )
             speed = gui.add_dropdown(
                 "Speed", tuple(_SPEED_LABELS), initial_value=f"{settings.speed:g} x"
             )
@@ -93,9 +101,16 @@ class PagePanel:
         self._fields[setting] = field
         self._on_update(field, lambda: self._session.change(**{setting: field.value}))
 
-    def _slider(self, label: str, setting: str, limits: tuple[float, float], step: float) -> None:
-        value = getattr(self._session.settings, setting)
-        field = self._gui.add_slider(label, *limits, step, value)
+    def _slider(
+        self,
+        label: str,
+        setting: str,
+        limits: tuple[float, float],
+        step: float,
+        hint: str | None = None,
+    ) -> None:
+        value = _shown(self._session.settings, setting)
+        field = self._gui.add_slider(label, *limits, step, value, hint=hint)
         self._fields[setting] = field
         self._on_update(
             field, lambda: self._session.change(**{setting: round(float(field.value), 4)})
@@ -163,7 +178,7 @@ class PagePanel:
             if tuple(self._fields[setting].options) != options:
                 self._fields[setting].options = options
         for setting, field in self._fields.items():
-            value = getattr(settings, setting)
+            value = _shown(settings, setting)
             if field.value != value:
                 field.value = value
 
@@ -182,6 +197,11 @@ class PagePanel:
             time, error, left, right = self._trace.columns()
             self._error_plot.data = (time, error)
             self._force_plot.data = (time, left, right)
+
+
+def _shown(settings: Settings, setting: str) -> Any:
+    """The value of a setting as its field shows it."""
+    return settings.avatar_m if setting == "avatar_height_m" else getattr(settings, setting)
 
 
 def status_text(snapshot: Snapshot, settings: Settings) -> str:

@@ -123,9 +123,10 @@ class PageScene:
     def _set(self, stage: Stage) -> None:
         """Put up another stage."""
         before, self._stage = self._stage, stage
-        scale = stage.height_m / DEFAULT_HEIGHT_M
-        for node in (*self._avatar, *self._person):
-            node.scale = scale  # pyright: ignore[reportAttributeAccessIssue]
+        for nodes, height_m in ((self._avatar, stage.height_m), (self._person, stage.user_m)):
+            for node in nodes:
+                scale = height_m / DEFAULT_HEIGHT_M
+                node.scale = scale  # pyright: ignore[reportAttributeAccessIssue]
         if self._ground is None or before is None or before.ground is not stage.ground:
             self._ground = self._scene.add_mesh_trimesh(
                 "/world/ground", ground_mesh(stage.ground), cast_shadow=False

@@ -1,0 +1,104 @@
+"""What a session's settings mean: its environment, its object, and its user beside the avatar."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from agents.live.drivers import Driver, config_for
+from envs.config import EnvConfig
+from envs.core import BatchSim
+from envs.objects import WorldObject
+from envs.terrain import RANGES, TERRAINS, Terrain
+from envs.world import build_world
+from questsim.heightfield import HeightField
+from questsim.motion.clip import Clip
+from questsim.motion.synthetic import SEATED
+from questsim.skeleton import NUM_DOFS
+from questsim.viewing.live import Part, Settings
+
+NOTHING = "none"
+_AVATAR = 7 + NUM_DOFS
+_OBJECT = "object0"
+
+
+def config_of(driver: Driver, settings: Settings) -> EnvConfig:
+    """The environment of a session's settings."""
+    config = config_for(driver, settings.sensors, float(settings.avatar_m))
+    return replace(
+        config,
+        terrain=scaled_terrain(settings.terrain, settings.roughness),
+        objects=() if settings.thing == NOTHING else (WorldObject(settings.thing),),
+    )
+
+
+def scaled_terrain(name: str, roughness: float) -> Terrain | None:
+    """The named terrain with its relief multiplied; None for flat ground."""
+    if name == "flat":
+        return None
+    terrain = TERRAINS[name]
+    return replace(
+        terrain,
+        amplitude_m=terrain.amplitude_m * roughness,
+        slope_deg=terrain.slope_deg * roughness,
+        step_height_m=terrain.step_height_m * roughness,
+        gap_m=max(terrain.gap_m * roughness, RANGES["gap_m"][0]),
+    )
+
+
+def needed_thing(clip: Clip) -> str:
+    """The object without which a clip makes no sense: a chair where it sits, else ``NOTHING``."""
+    return "chair" if clip.kind in SEATED else NOTHING
+
+
+def in_own_size(
+    clip: Clip, field: HeightField | None, height_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The clip's person in another size, on the same spot of ground in every frame.
+
+    A person of another size walks another distance in as many steps: here it goes along with the
+    clip, so that both stay together, and its feet slide by the difference.
+
+    Args:
+        clip: as the avatar follows it.
+        field: the ground, None for a plane.
+        height_m: the person's stature.
+
+    Returns:
+        Link positions ``(F, 16, 3)`` and ``qpos`` ``(F, 40)``; orientations and angles stay.
+    """
+    if height_m == clip.height_m:
+        return clip.link_position, clip.qpos
+    scale, spot = height_m / clip.height_m, clip.qpos[:, :3].copy()
+    spot[:, 2] = 0.0 if field is None else field.ground_at(spot)
+    position = spot[:, None] + scale * (clip.link_position - spot[:, None])
+    qpos = clip.qpos.copy()
+    qpos[:, :3] = position[:, 0]
+    return position, qpos
+
+
+def object_parts(sim: BatchSim) -> tuple[Part, ...]:
+    """The shapes that the session's object is made of."""
+    config = sim.config
+    model = build_world(
+        float(sim.heights[0]), config.body_preset, config.self_collision, config.terrain,
+        config.objects,
+    ).model  # fmt: skip
+    body = model.body(_OBJECT)
+    first, count = int(body.geomadr[0]), int(body.geomnum[0])
+    return tuple(
+        Part(
+            "ball" if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE else "box",
+            tuple(model.geom_size[geom]),
+            tuple(model.geom_pos[geom]),
+        )
+        for geom in range(first, first + count)
+    )
+
+
+def object_pose(sim: BatchSim) -> tuple[np.ndarray, np.ndarray]:
+    """Where the session's object is, and its orientation."""
+    pose = sim.qpos[0, _AVATAR : _AVATAR + 7].copy()
+    return pose[:3], pose[3:]
