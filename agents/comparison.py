@@ -17,6 +17,7 @@ import torch
 
 from agents.agent import load_agent
 from agents.checkpoint import find_policy, load_policy, read_card
+from agents.comparison_plots import plot_accuracy, plot_plausibility
 from agents.comparison_report import Row, row_of, table, write
 from agents.evaluation import env_config, roll_out
 from agents.kinematic.data import motions_record
@@ -34,6 +35,7 @@ from agents.kinematic.recurrent import RecurrentPoser
 from agents.kinematic.store import UNTRAINED, find_system, load_system, read_system_card
 from agents.run_folder import versions
 from questsim.errors import InputError, at_least
+from questsim.files import whole_file
 from questsim.joint_sensors import SENSOR_FPS, SensorSequence, readings
 from questsim.motion.motion import Motion
 from questsim.motion.retarget import to_clip
@@ -45,6 +47,9 @@ WINDOW = 40
 """Frames of the online protocol's sliding window (LGSIK-Poser)."""
 SILENT_FRAMES = 100
 """A faulty tracker returns after so many frames (DragPoser)."""
+FIGURES = {"accuracy.png": plot_accuracy, "plausibility.png": plot_plausibility}
+FILES: tuple[str, ...] = ("comparison.json", "comparison.csv", "comparison.md", *FIGURES)
+"""What a comparison writes."""
 
 
 @dataclass(frozen=True)
@@ -94,12 +99,12 @@ def compare(
     threads: int,
     seed: int,
 ) -> int:
-    """Run the comparison and write its table; returns the exit code.
+    """Run the comparison and write its table and figures; returns the exit code.
 
     Args:
         agents: systems: names, checkpoint folders or run folders.
         motions: what to reconstruct.
-        out: the folder for the tables.
+        out: the folder for ``FILES``.
         max_clips: at most so many, of all kinds.
         threads: of the networks.
         seed: of faults and synthetic motions.
@@ -130,6 +135,9 @@ def compare(
         "seed": seed,
     }
     write(rows, context, out)
+    for name, plot in FIGURES.items():
+        with whole_file(out / name) as path:
+            plot(rows, path)
     print(table(rows, "pooled"))
     print(f"written to {out}")
     return 0
