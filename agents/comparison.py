@@ -22,6 +22,7 @@ from agents.comparison_report import Row, row_of, table, write
 from agents.evaluation import env_config, roll_out
 from agents.kinematic.data import motions_record
 from agents.kinematic.drag_solver import DragPoser
+from agents.kinematic.efficiency import mmac_a_frame, stream_kib
 from agents.kinematic.interface import Body, KinematicSystem, Poses
 from agents.kinematic.physics import (
     TRACKER,
@@ -229,7 +230,12 @@ def run(agent: str, scenario: Scenario, motions: Sequence[Motion], seed: int) ->
         seconds += time.perf_counter() - began
         frames += len(motion)
         scored.append(_scored(poses, motion))
-    return row_of(agent, scenario.name, parameters(system), scored, 1000.0 * seconds / frames)
+    row = row_of(agent, scenario.name, parameters(system), scored, 1000.0 * seconds / frames)
+    if scenario.online or not row.parameters:
+        return row
+    sequence = readings(motions[0], scenario.devices)
+    mmac = mmac_a_frame(system, sequence, Body.of(motions[0]))
+    return replace(row, mmac=mmac, stream_kib=stream_kib(system))
 
 
 def run_physics(

@@ -14,6 +14,7 @@ from agents.comparison_report import Row
 from agents.evaluation import EvaluateArgs, evaluate
 from agents.kinematic import load_system
 from agents.kinematic.data import MotionBank
+from agents.kinematic.efficiency import mmac_a_frame, stream_kib
 from agents.kinematic.interface import Body
 from agents.kinematic.recurrent import RecurrentPoser
 from agents.kinematic.registry import AGENTS
@@ -52,6 +53,9 @@ def test_one_command_scores_all_systems_on_the_same_frames(tmp_path, capsys):
     assert [row["agent"] for row in report["rows"]] == ["ik", *[hmd] * 6]
     ik = report["rows"][0]["pooled"]
     assert ik["pos_cm"] < 1.0 and ik["ee_cm"] < 1.0
+    told = [row["mmac"] for row in report["rows"]]
+    assert told[0] is None and told[1] > 0.01 and told[4] is None  # ik; HMD; HMD, window 40
+    assert report["rows"][1]["stream_kib"] > 1.0 and report["rows"][0]["stream_kib"] is None
     assert report["rows"][1]["pooled"]["mpjpe_cm"] > ik["mpjpe_cm"]
     with (out / "comparison.csv").open() as file:
         lines = list(csv.DictReader(file))
@@ -112,7 +116,7 @@ def test_a_faulty_tracker_is_silent_for_a_hundred_frames_and_one_always_reports(
 
 def test_a_figure_there_is_nothing_to_average_for_is_a_dash(tmp_path):
     row = Row("a", "6", 10, {"pos_cm": None}, {"pos_cm": None}, 1.0)
-    assert "| a | 6 | - | 10 | 1.0 |" in table([row], "equal")
+    assert "| a | 6 | - | 10 | - | - | 1.0 |" in table([row], "equal")
 
 
 def test_figures_tell_physics_and_policies_from_poses_and_show_what_is_missing(tmp_path):
@@ -150,3 +154,28 @@ def test_the_list_of_agents_has_every_agent_and_preset(capsys):
     assert {"licence", "weights", "title"} < set(hmd)
     demo = next(e for e in entries if e["agent"] == "demo")
     assert demo["weights"] and demo["licence"] == "MIT"
+
+
+@pytest.mark.parametrize(("agent", "published"), [("hmdposer", 72.6), ("lgsik", 7.2)])
+def test_multiply_accumulates_of_the_papers_networks_are_the_published_ones(agent, published):
+    entry = AGENTS[agent]
+    module = entry.build(entry.presets["paper"].spec)
+    module.get_buffer("template").copy_(torch.as_tensor(MOTION.offsets))
+    system = entry.system(module, agent, ["network"], {})
+    seen = readings(MOTION.resampled(60.0), SENSOR_SETS["H+2C+3IMU"])
+    assert mmac_a_frame(system, seen, Body.of(MOTION)) == pytest.approx(published, rel=0.01)
+
+
+def test_the_memory_of_a_stream_counts_what_it_keeps_and_does_not_grow(tmp_path):
+    system = load_system(saved("dragposer", tmp_path / "drag"), iterations=1)
+    seen = readings(MOTION.resampled(60.0), SENSOR_SETS["6T"])
+    system.reset(Body.of(MOTION), "6T")
+    sizes = []
+    for frame in range(9):
+        system.step(seen[frame])
+        sizes.append(stream_kib(system))
+    assert sizes[-1] == sizes[0] > 0
+    before = stream_kib(system)
+    kept = torch.zeros(2, 256)  # 2 KiB
+    system._more = [kept, kept[:1], {"a": np.zeros(128)}]  # type: ignore[attr-defined]
+    assert stream_kib(system) == before + 3.0
