@@ -17,10 +17,12 @@ import torch
 
 from agents.agent import load_agent
 from agents.checkpoint import find_policy, load_policy, read_card
+from agents.comparison_plots import plot_accuracy, plot_plausibility
 from agents.comparison_report import Row, row_of, table, write
 from agents.evaluation import env_config, roll_out
 from agents.kinematic.data import motions_record
 from agents.kinematic.drag_solver import DragPoser
+from agents.kinematic.efficiency import mmac_a_frame, stream_kib
 from agents.kinematic.interface import Body, KinematicSystem, Poses
 from agents.kinematic.physics import (
     TRACKER,
@@ -34,6 +36,7 @@ from agents.kinematic.recurrent import RecurrentPoser
 from agents.kinematic.store import UNTRAINED, find_system, load_system, read_system_card
 from agents.run_folder import versions
 from questsim.errors import InputError, at_least
+from questsim.files import whole_file
 from questsim.joint_sensors import SENSOR_FPS, SensorSequence, readings
 from questsim.motion.motion import Motion
 from questsim.motion.retarget import to_clip
@@ -45,6 +48,9 @@ WINDOW = 40
 """Frames of the online protocol's sliding window (LGSIK-Poser)."""
 SILENT_FRAMES = 100
 """A faulty tracker returns after so many frames (DragPoser)."""
+FIGURES = {"accuracy.png": plot_accuracy, "plausibility.png": plot_plausibility}
+FILES: tuple[str, ...] = ("comparison.json", "comparison.csv", "comparison.md", *FIGURES)
+"""What a comparison writes."""
 
 
 @dataclass(frozen=True)
@@ -94,12 +100,12 @@ def compare(
     threads: int,
     seed: int,
 ) -> int:
-    """Run the comparison and write its table; returns the exit code.
+    """Run the comparison and write its table and figures; returns the exit code.
 
     Args:
         agents: systems: names, checkpoint folders or run folders.
         motions: what to reconstruct.
-        out: the folder for the tables.
+        out: the folder for ``FILES``.
         max_clips: at most so many, of all kinds.
         threads: of the networks.
         seed: of faults and synthetic motions.
@@ -130,6 +136,9 @@ def compare(
         "seed": seed,
     }
     write(rows, context, out)
+    for name, plot in FIGURES.items():
+        with whole_file(out / name) as path:
+            plot(rows, path)
     print(table(rows, "pooled"))
     print(f"written to {out}")
     return 0
@@ -221,7 +230,12 @@ def run(agent: str, scenario: Scenario, motions: Sequence[Motion], seed: int) ->
         seconds += time.perf_counter() - began
         frames += len(motion)
         scored.append(_scored(poses, motion))
-    return row_of(agent, scenario.name, parameters(system), scored, 1000.0 * seconds / frames)
+    row = row_of(agent, scenario.name, parameters(system), scored, 1000.0 * seconds / frames)
+    if scenario.online or not row.parameters:
+        return row
+    sequence = readings(motions[0], scenario.devices)
+    mmac = mmac_a_frame(system, sequence, Body.of(motions[0]))
+    return replace(row, mmac=mmac, stream_kib=stream_kib(system))
 
 
 def run_physics(

@@ -25,6 +25,8 @@ class Row:
         parameters: of the networks, the tracker's among them.
         equal: means of the clips' means; pooled: means over all frames, long clips weigh more.
         ms: milliseconds a frame, streamed.
+        mmac: millions of multiply-accumulates a frame, streamed; None where not counted.
+        stream_kib: KiB that a stream keeps from frame to frame; None where not counted.
     """
 
     agent: str
@@ -33,6 +35,8 @@ class Row:
     equal: dict[str, float | None]
     pooled: dict[str, float | None]
     ms: float
+    mmac: float | None = None
+    stream_kib: float | None = None
 
 
 def row_of(
@@ -76,12 +80,13 @@ def _columns(rows: Sequence[Row]) -> list[str]:
 def table(rows: Sequence[Row], weighting: str) -> str:
     """A Markdown table; ``weighting`` is ``equal`` or ``pooled``."""
     names = _columns(rows)
-    head = ["agent", "scenario", *names, "parameters", "ms a frame"]
+    head = ["agent", "scenario", *names, "parameters", "MMAC a frame", "KiB a stream", "ms a frame"]
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for row in rows:
         figures = [_WEIGHTS[weighting](row).get(name) for name in names]
         cells = ["-" if value is None else f"{value:.2f}" for value in figures]
-        told = [row.agent, row.scenario, *cells, f"{row.parameters:,}", f"{row.ms:.1f}"]
+        costs = ["-" if x is None else f"{x:.2f}" for x in (row.mmac, row.stream_kib)]
+        told = [row.agent, row.scenario, *cells, f"{row.parameters:,}", *costs, f"{row.ms:.1f}"]
         lines.append(f"| {' | '.join(told)} |")
     return "\n".join(lines)
 
@@ -104,13 +109,13 @@ def write(rows: Sequence[Row], context: dict[str, Any], out: Path) -> None:
     with whole_file(out / "comparison.csv") as path, path.open("w", newline="") as file:
         names = _columns(rows)
         writer = csv.writer(file)
-        writer.writerow(["agent", "scenario", "weighting", *names, "parameters", "ms"])
+        costs = ["parameters", "mmac", "stream_kib", "ms"]
+        writer.writerow(["agent", "scenario", "weighting", *names, *costs])
         for row in rows:
+            told = [getattr(row, name) for name in costs]
             for weighting, figures in _WEIGHTS.items():
                 values = [figures(row).get(name) for name in names]
-                writer.writerow(
-                    [row.agent, row.scenario, weighting, *values, row.parameters, row.ms]
-                )
+                writer.writerow([row.agent, row.scenario, weighting, *values, *told])
     parts = [
         "# Comparison of kinematic systems",
         "",

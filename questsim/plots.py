@@ -42,7 +42,7 @@ MAX_PANELS = 24
 
 
 @contextmanager
-def _figure(path: Path, width: float, height: float) -> Iterator[Figure]:
+def figure_file(path: Path, width: float, height: float) -> Iterator[Figure]:
     """A figure in inches that is written to ``path`` when the block ends.
 
     It is made without pyplot, so nothing global has to be closed and no display is looked for.
@@ -83,7 +83,7 @@ def plot_error_over_time(rollouts: Sequence[Rollout], path: Path) -> None:
     shown = sorted(sorted(kinds, key=lambda kind: -len(kinds[kind]))[:MAX_PANELS])
     columns = min(len(shown), 4)
     rows = -(-len(shown) // columns)
-    with _figure(path, max(2.6 * columns, 4.5), 2.0 * rows + 0.5) as figure:
+    with figure_file(path, max(2.6 * columns, 4.5), 2.0 * rows + 0.5) as figure:
         axes = _panels(figure, len(shown), columns, sharex=True, sharey=True)
         for axis, kind in zip(axes, shown, strict=True):
             _draw_errors(axis, kinds[kind])
@@ -124,7 +124,7 @@ def plot_by_kind(metrics: Mapping[str, Any], path: Path) -> None:
     labels = [f"{kind} ({f['clips']})" for kind, f in zip(kinds, figures, strict=True)]
     success = [100.0 * f["success"] for f in figures]
     error = [f["mpjpe_cm"] or 0.0 for f in figures]
-    with _figure(path, 7.5, 0.32 * len(kinds) + 1.1) as figure:
+    with figure_file(path, 7.5, 0.32 * len(kinds) + 1.1) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
         left.barh(labels, success, color=BLUE, height=0.65)
         left.set(xlim=(0, 112), xticks=range(0, 101, 25), xlabel="Clips not lost (%)")
@@ -145,7 +145,7 @@ def plot_contacts(rollout: Rollout, path: Path) -> None:
     force = rollout.contact_force
     values = force if force is not None else 100.0 * rollout.foot_clearance
     label = "Vertical force (N)" if force is not None else "Height of sole (cm)"
-    with _figure(path, 7.5, 3.6) as figure:
+    with figure_file(path, 7.5, 3.6) as figure:
         axes = figure.subplots(2, 1, sharex=True, sharey=True)
         for axis, foot, value, contact in zip(
             axes, FEET, values.T, rollout.reference.contacts[: len(rollout)].T, strict=True
@@ -178,7 +178,7 @@ def plot_error_histogram(rollouts: Sequence[Rollout], path: Path) -> None:
     completed = np.array([rollout.completed for rollout in rollouts], bool)
     top = max(float(error.max(initial=0.0)), 1.0)
     bins = np.linspace(0.0, min(1.02 * top, 100.0 * MAX_LINK_ERROR_M), 31)
-    with _figure(path, 6.0, 3.0) as figure:
+    with figure_file(path, 6.0, 3.0) as figure:
         axis = figure.subplots()
         axis.hist(
             [error[completed], error[~completed]],
@@ -245,7 +245,9 @@ def plot_training(
     if not columns:
         raise InputError(f"training rows have no column beside {x!r}")
     across = min(len(columns), 3)
-    with _figure(path, max(3.0 * across, 4.5), 2.0 * -(-len(columns) // across) + 0.4) as figure:
+    with figure_file(
+        path, max(3.0 * across, 4.5), 2.0 * -(-len(columns) // across) + 0.4
+    ) as figure:
         axes = _panels(figure, len(columns), across, sharex=True)
         for axis, name in zip(axes, columns, strict=True):
             points = [(row[x], row[name]) for row in rows if name in row and x in row]

@@ -6,11 +6,15 @@ import json
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
-from agents.comparison import faulty, scenarios, table
+from agents.comparison import FIGURES, FILES, faulty, scenarios, table
+from agents.comparison_plots import KINDS, kind_of
+from agents.comparison_report import Row
 from agents.evaluation import EvaluateArgs, evaluate
 from agents.kinematic import load_system
 from agents.kinematic.data import MotionBank
+from agents.kinematic.efficiency import mmac_a_frame, stream_kib
 from agents.kinematic.interface import Body
 from agents.kinematic.recurrent import RecurrentPoser
 from agents.kinematic.registry import AGENTS
@@ -49,11 +53,15 @@ def test_one_command_scores_all_systems_on_the_same_frames(tmp_path, capsys):
     assert [row["agent"] for row in report["rows"]] == ["ik", *[hmd] * 6]
     ik = report["rows"][0]["pooled"]
     assert ik["pos_cm"] < 1.0 and ik["ee_cm"] < 1.0
+    told = [row["mmac"] for row in report["rows"]]
+    assert told[0] is None and told[1] > 0.01 and told[4] is None  # ik; HMD; HMD, window 40
+    assert report["rows"][1]["stream_kib"] > 1.0 and report["rows"][0]["stream_kib"] is None
     assert report["rows"][1]["pooled"]["mpjpe_cm"] > ik["mpjpe_cm"]
     with (out / "comparison.csv").open() as file:
         lines = list(csv.DictReader(file))
     assert len(lines) == 14 and float(lines[0]["pos_cm"]) >= 0
     assert "| ik | 6 |" in (out / "comparison.md").read_text()
+    assert {file.name for file in out.iterdir()} == set(FILES)
     assert "| ik | 6 |" in capsys.readouterr().out
 
 
@@ -107,10 +115,32 @@ def test_a_faulty_tracker_is_silent_for_a_hundred_frames_and_one_always_reports(
 
 
 def test_a_figure_there_is_nothing_to_average_for_is_a_dash(tmp_path):
-    from agents.comparison_report import Row
-
     row = Row("a", "6", 10, {"pos_cm": None}, {"pos_cm": None}, 1.0)
-    assert "| a | 6 | - | 10 | 1.0 |" in table([row], "equal")
+    assert "| a | 6 | - | 10 | - | - | 1.0 |" in table([row], "equal")
+
+
+def test_figures_tell_physics_and_policies_from_poses_and_show_what_is_missing(tmp_path):
+    plain: dict[str, float | None] = {"foot_skate_cm_s": 4.0}
+    simulated: dict[str, float | None] = {"foot_skate_cm_s": 1.0, "success_percent": 90.0}
+    rows = [
+        Row("ik", "6", 0, plain, plain, 1.0),
+        Row("ik+physics", "6, no physics", 0, plain, plain, 1.0),
+        Row("ik+physics", "6", 10, simulated, simulated, 1.0),
+        Row("questsim", "HMD", 10, simulated, simulated, 1.0),
+    ]
+    kinds = ["kinematic", "kinematic", "with physics behind it", "policy"]
+    assert [kind_of(row) for row in rows] == kinds
+    for name, plot in FIGURES.items():
+        plot(rows, tmp_path / name)
+    with Image.open(tmp_path / "plausibility.png") as picture:
+        pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3)
+    bars = [int((pixels == to_rgb(KINDS[kind])).all(axis=1).sum()) for kind in KINDS]
+    # Two rows of 4 against one of 1 each: eight times the ink.
+    assert bars[0] > 5 * bars[1] > 0 and bars[1] == pytest.approx(bars[2], rel=0.05)
+
+
+def to_rgb(colour):
+    return np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)])
 
 
 def test_the_list_of_agents_has_every_agent_and_preset(capsys):
@@ -124,3 +154,28 @@ def test_the_list_of_agents_has_every_agent_and_preset(capsys):
     assert {"licence", "weights", "title"} < set(hmd)
     demo = next(e for e in entries if e["agent"] == "demo")
     assert demo["weights"] and demo["licence"] == "MIT"
+
+
+@pytest.mark.parametrize(("agent", "published"), [("hmdposer", 72.6), ("lgsik", 7.2)])
+def test_multiply_accumulates_of_the_papers_networks_are_the_published_ones(agent, published):
+    entry = AGENTS[agent]
+    module = entry.build(entry.presets["paper"].spec)
+    module.get_buffer("template").copy_(torch.as_tensor(MOTION.offsets))
+    system = entry.system(module, agent, ["network"], {})
+    seen = readings(MOTION.resampled(60.0), SENSOR_SETS["H+2C+3IMU"])
+    assert mmac_a_frame(system, seen, Body.of(MOTION)) == pytest.approx(published, rel=0.01)
+
+
+def test_the_memory_of_a_stream_counts_what_it_keeps_and_does_not_grow(tmp_path):
+    system = load_system(saved("dragposer", tmp_path / "drag"), iterations=1)
+    seen = readings(MOTION.resampled(60.0), SENSOR_SETS["6T"])
+    system.reset(Body.of(MOTION), "6T")
+    sizes = []
+    for frame in range(9):
+        system.step(seen[frame])
+        sizes.append(stream_kib(system))
+    assert sizes[-1] == sizes[0] > 0
+    before = stream_kib(system)
+    kept = torch.zeros(2, 256)  # 2 KiB
+    system._more = [kept, kept[:1], {"a": np.zeros(128)}]  # type: ignore[attr-defined]
+    assert stream_kib(system) == before + 3.0
