@@ -16,6 +16,7 @@ from agents.agent import Needs, PolicyAgent, Tracker, new_policy
 from agents.checkpoint import CRITIC_FILE, load_policy, save_policy
 from agents.licence import licence_of, strictest
 from agents.presets import PRESETS
+from agents.provenance import StagePart, _joined
 from agents.run_folder import start_run
 from agents.shipping import ShipArgs, check_name, ship
 from agents.spec import TRACKER_BLOCKS, Layout, PolicySpec
@@ -282,3 +283,19 @@ def test_shipped_policies_are_small_and_have_cards_and_licences():
         agent = load_policy(folder)
         assert licence_of(agent.card["training"]) in card_of(folder)
         assert all(path.stat().st_size < shipping.MAX_BYTES for path in folder.iterdir())
+
+
+def test_common_teacher_of_two_shipped_policies_is_told_once_and_by_one_name():
+    def part(stage: str, command: str) -> StagePart:
+        return StagePart(Path("shipped"), {"stage": stage, "motions": "m"}, 8, 1.0, command)
+
+    taught = [part("teacher", "python train.py --out runs/tracker")]
+    both = [
+        part("teacher", "python train.py --out runs/student-teacher"),
+        part("student", "python train.py --out runs/student --teacher runs/student-teacher"),
+    ]
+    lines = [p.command for p in _joined(taught, both)]
+    assert lines == [
+        "python train.py --out runs/tracker",
+        "python train.py --out runs/student --teacher runs/tracker",
+    ]
