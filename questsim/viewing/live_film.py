@@ -20,7 +20,7 @@ from questsim.viewing.video import write_gif, write_video
 
 LEGEND = "orange: avatar   blue: its user   green: forces"
 GIF_STRIDE, GIF_WIDTH = 3, 360
-_GHOST_OPACITY = 0.30
+_GHOST_OPACITY = 0.18
 _LEAST_ARROW_M = 0.05
 _PUSH_RED = (0.85, 0.15, 0.12, 1.0)
 _THING = (0.89, 0.67, 0.24, 1.0)

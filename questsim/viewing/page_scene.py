@@ -23,7 +23,7 @@ from questsim.viewing.render import metre_tile
 SKY = (226, 232, 240)
 _THING_COLOURS = [[240, 236, 224], [226, 170, 60]]
 _FLAT_HALF_SIZE_M = 40.0
-_GHOST_OPACITY = 0.28
+_GHOST_OPACITY = 0.18
 _ARROW_HEAD_M = 0.06
 _FORCE_COLOUR, _PUSH_COLOUR = (30, 160, 90), (200, 40, 40)
 _FOLLOW_S = 0.35
