@@ -32,6 +32,11 @@ FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
         "goes on, mixed ground and pushes",
     ),
     "training-students.png": ("student H+2C", "student H", "student H+2C, no future frames"),
+    "training-students-shipped.png": (
+        "goes on, H+2C",
+        "goes on, H",
+        "goes on, H+2C, no future frames",
+    ),
 }
 """The curves of each picture; a pair is a curve and what it is called there."""
 
