@@ -73,12 +73,42 @@ def model_card(
         limits += (
             f"\n- It waits for {agent.needs.future_frames} frames of the future: {delay:g} ms."
         )
+    return card_text(
+        name,
+        _purpose(agent),
+        _facts(agent, weights_bytes),
+        training,
+        figures,
+        TRACKER_USE if tracker else DRIVER_USE,
+        limits,
+    )
+
+
+def card_text(
+    name: str,
+    purpose: str,
+    facts: Sequence[str],
+    training: Mapping[str, Any],
+    figures: Sequence[str],
+    use: str,
+    limits: str,
+) -> str:
+    """The layout of every card, as Markdown.
+
+    Args:
+        name: what the weights are shipped as.
+        purpose: one paragraph.
+        facts: lines of a table.
+        training: with ``commands``, and what ``licence_lines`` reads.
+        figures: lines; none if it has not been evaluated.
+        use, limits: text of these sections.
+    """
     lines = [
         f"# {name}",
         "",
-        _purpose(agent),
+        purpose,
         "",
-        *_facts(agent, weights_bytes),
+        *facts,
         "",
         "Trained by",
         "",
@@ -91,7 +121,7 @@ def model_card(
         *(figures or ["It has not been evaluated.", ""]),
         "## Intended use",
         "",
-        TRACKER_USE if tracker else DRIVER_USE,
+        use,
         "",
         "## Limits",
         "",
@@ -114,18 +144,7 @@ def read_metrics(path: Path, training: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         InputError: it is missing, no report of this version, or of another policy.
     """
-    try:
-        metrics = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", path) from error
-    except ValueError as error:
-        raise InputError("is no report of an evaluation", path) from error
-    if not isinstance(metrics, dict) or metrics.get("schema") != SCHEMA:
-        raise InputError("is no report of an evaluation", path, "name a metrics.json")
-    if metrics.get("version") != SCHEMA_VERSION:
-        raise InputError(
-            f"is of version {metrics.get('version')!r}, this one reads {SCHEMA_VERSION}", path
-        )
+    metrics = read_report(path, SCHEMA, SCHEMA_VERSION, "an evaluation", "metrics.json")
     measured = metrics.get("context", {}).get("training") or {}
     # A report of the shipped policy knows more of its training than the run's policy does.
     plain = json.loads(json.dumps(dict(training)))
@@ -138,6 +157,31 @@ def read_metrics(path: Path, training: Mapping[str, Any]) -> dict[str, Any]:
             "evaluate this one",
         )
     return metrics
+
+
+def read_report(path: Path, schema: str, version: int, of: str, usual_name: str) -> dict[str, Any]:
+    """A JSON report of one schema and version.
+
+    Args:
+        path: the file.
+        schema, version: that it must have.
+        of: what it reports, for messages.
+        usual_name: of such a file, for messages.
+
+    Raises:
+        InputError: it is missing, no such report, or of another version.
+    """
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", path) from error
+    except ValueError as error:
+        raise InputError(f"is no report of {of}", path) from error
+    if not isinstance(report, dict) or report.get("schema") != schema:
+        raise InputError(f"is no report of {of}", path, f"name a {usual_name}")
+    if report.get("version") != version:
+        raise InputError(f"is of version {report.get('version')!r}, this one reads {version}", path)
+    return report
 
 
 def _ground(training: Mapping[str, Any]) -> str:

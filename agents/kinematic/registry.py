@@ -99,7 +99,7 @@ AGENTS: dict[str, Entry] = {
             ),
             "smoke": Config(
                 HmdPoserSpec(size=32, blocks=1, layers=1, heads=4, feed_forward=32, head_hidden=32),
-                {"network": Learning(**{**vars(_SMOKE), "window": 18})},
+                {"network": replace(_SMOKE, window=18)},
                 validation=12,
             ),
         },
@@ -121,7 +121,7 @@ AGENTS: dict[str, Entry] = {
             ),
             "smoke": Config(
                 LgsikSpec(size=16, hidden=(32, 32), shape_hidden=16),
-                {"network": Learning(**{**vars(_SMOKE), "window": 18})},
+                {"network": replace(_SMOKE, window=18)},
                 validation=12,
             ),
         },
@@ -164,8 +164,8 @@ AGENTS: dict[str, Entry] = {
             "smoke": Config(
                 sparseposer.SparsePoserSpec(channels=(8, 8, 8, 8), kernel=5, ik_hidden=32),
                 {
-                    "generator": Learning(**{**vars(_SMOKE), "share": 0.7, "window": 64}),
-                    "ik": Learning(**{**vars(_SMOKE), "share": 0.3, "window": 64}),
+                    "generator": replace(_SMOKE, share=0.7, window=64),
+                    "ik": replace(_SMOKE, share=0.3, window=64),
                 },
                 validation=12,
             ),
@@ -209,10 +209,8 @@ AGENTS: dict[str, Entry] = {
             "smoke": Config(
                 dragposer.DragPoserSpec(feed_forward=32, encoder_layers=1, decoder_layers=1),
                 {
-                    "vae": Learning(
-                        **{**vars(_SMOKE), "share": 0.5, "batch": 32, "window": 3, "clip": 10.0}
-                    ),
-                    "predictor": Learning(**{**vars(_SMOKE), "share": 0.5, "window": 129}),
+                    "vae": replace(_SMOKE, share=0.5, batch=32, window=3, clip=10.0),
+                    "predictor": replace(_SMOKE, share=0.5, window=129),
                 },
                 validation=12,
             ),

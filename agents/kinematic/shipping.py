@@ -15,7 +15,7 @@ from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import CARD_FILE, load_system, read_system_card
 from agents.licence import strictest
-from agents.model_card import licence_lines, time_text
+from agents.model_card import card_text, read_report, time_text
 from agents.provenance import options_of, run_of
 from agents.run_folder import read_run
 from questsim.errors import InputError
@@ -89,36 +89,12 @@ def system_card(
     """
     card, system = read_system_card(folder), load_system(folder)
     entry = AGENTS[card["agent"]]
-    lines = [
-        f"# {name}",
-        "",
+    purpose = (
         f"{entry.title}: estimates the user's pose on 22 joints, 60 times a second, without "
-        f"physics. It reads {system.describe().replace('_', ' ')}.",
-        "",
-        *_facts(system, training, weights_bytes),
-        "",
-        "Trained by",
-        "",
-        "```",
-        *training["commands"],
-        "```",
-        "",
-        "## Figures",
-        "",
-        *(figures or ["It has not been evaluated.", ""]),
-        "## Intended use",
-        "",
-        USE,
-        "",
-        "## Limits",
-        "",
-        LIMITS,
-        "",
-        "## Licence",
-        "",
-        *licence_lines(training),
-    ]
-    return "\n".join(lines) + "\n"
+        f"physics. It reads {system.describe().replace('_', ' ')}."
+    )
+    facts = _facts(system, training, weights_bytes)
+    return card_text(name, purpose, facts, training, figures, USE, LIMITS)
 
 
 def _facts(system: KinematicSystem, training: Mapping[str, Any], weights_bytes: int) -> list[str]:
@@ -152,18 +128,7 @@ def comparison_lines(path: Path, training: Mapping[str, Any]) -> list[str]:
     Raises:
         InputError: it is missing, no comparison of this version, or not of this system.
     """
-    try:
-        report = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", path) from error
-    except ValueError as error:
-        raise InputError("is no report of a comparison", path) from error
-    if not isinstance(report, dict) or report.get("schema") != SCHEMA:
-        raise InputError("is no report of a comparison", path, "name a comparison.json")
-    if report.get("version") != SCHEMA_VERSION:
-        raise InputError(
-            f"is of version {report.get('version')!r}, this one reads {SCHEMA_VERSION}", path
-        )
+    report = read_report(path, SCHEMA, SCHEMA_VERSION, "a comparison", "comparison.json")
     plain = json.loads(json.dumps(dict(training)))
     agents = [
         agent

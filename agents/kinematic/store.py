@@ -16,7 +16,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import nn
 
-from agents.checkpoint import RESUME_FILE, pack, whole_folder
+from agents.checkpoint import RESUME_FILE, SHIPPED, pack, whole_folder
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.registry import AGENTS, Entry
 from questsim.errors import InputError
@@ -25,7 +25,6 @@ from questsim.skeleton import JOINTS
 
 FORMAT, FORMAT_VERSION = "questsim-kinematic", 1
 WEIGHTS_FILE, CARD_FILE = "system.safetensors", "system.yaml"
-SHIPPED = Path(__file__).parent.parent / "weights"
 UNTRAINED = ("ik",)
 """Agents that are complete without weights."""
 
