@@ -24,7 +24,7 @@ class Row:
         agent, scenario: what was run in which.
         parameters: of the networks, the tracker's among them.
         equal: means of the clips' means; pooled: means over all frames, long clips weigh more.
-        ms: milliseconds a frame, streamed.
+        ms: milliseconds a frame, streamed; None where not measured.
         mmac: millions of multiply-accumulates a frame, streamed; None where not counted.
         stream_kib: KiB that a stream keeps from frame to frame; None where not counted.
     """
@@ -34,13 +34,13 @@ class Row:
     parameters: int
     equal: dict[str, float | None]
     pooled: dict[str, float | None]
-    ms: float
+    ms: float | None
     mmac: float | None = None
     stream_kib: float | None = None
 
 
 def row_of(
-    agent: str, scenario: str, count: int, scored: Sequence[dict[str, np.ndarray]], ms: float
+    agent: str, scenario: str, count: int, scored: Sequence[dict[str, np.ndarray]], ms: float | None
 ) -> Row:
     """A line of the means of samples.
 
@@ -85,8 +85,8 @@ def table(rows: Sequence[Row], weighting: str) -> str:
     for row in rows:
         figures = [_WEIGHTS[weighting](row).get(name) for name in names]
         cells = ["-" if value is None else f"{value:.2f}" for value in figures]
-        costs = ["-" if x is None else f"{x:.2f}" for x in (row.mmac, row.stream_kib)]
-        told = [row.agent, row.scenario, *cells, f"{row.parameters:,}", *costs, f"{row.ms:.1f}"]
+        costs = ["-" if x is None else f"{x:.2f}" for x in (row.mmac, row.stream_kib, row.ms)]
+        told = [row.agent, row.scenario, *cells, f"{row.parameters:,}", *costs]
         lines.append(f"| {' | '.join(told)} |")
     return "\n".join(lines)
 

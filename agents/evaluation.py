@@ -64,7 +64,10 @@ class EvaluateArgs:
     """Compare kinematic systems (--agents) instead, on the same frames."""
     agents: tuple[str, ...] = ()
     """With --compare: systems, each a name (ik), checkpoint folder or run folder, with or without
-    +physics after it; and policies."""
+    +physics after it; and policies. By default all that are shipped."""
+    sensors: str | None = None
+    """With --compare: only with this set of sensors, e.g. H+2C or 6T; by default with all that an
+    agent can use."""
 
 
 def evaluate(args: EvaluateArgs) -> int:
@@ -78,7 +81,15 @@ def evaluate(args: EvaluateArgs) -> int:
     if args.compare:
         from agents.comparison import compare
 
-        return compare(args.agents, args.motions, args.out, args.max_clips, args.threads, args.seed)
+        return compare(
+            args.agents,
+            args.motions,
+            args.out,
+            args.max_clips,
+            args.threads,
+            args.seed,
+            args.sensors,
+        )
     at_least(1, threads=args.threads, max_clips=args.max_clips)
     at_least(0, seed=args.seed)
     if args.video and args.out is None:
@@ -111,18 +122,19 @@ def evaluate(args: EvaluateArgs) -> int:
 
 def _physics(args: EvaluateArgs) -> int:
     """A kinematic system with physics behind it, on what its first scenario's devices report."""
-    from agents.comparison import chosen, estimates, scenarios
-    from agents.kinematic.physics import TRACKER, base_of, follow_poses, reference_of
-    from agents.kinematic.store import load_system
+    from agents.comparison import chosen
+    from agents.comparison_run import reference, suiting, workers
+    from agents.kinematic.physics import TRACKER, base_of, follow_poses
     from questsim.motion.spec import load_recordings
 
     for option in ("env", "height", "avatar_height", "terrain", "worlds", "scorecard"):
         if getattr(args, option):
             raise InputError(f"does not go with {args.agent}", f"--{option.replace('_', '-')}")
-    system = load_system(base_of(args.agent) or args.agent)
+    scenario = suiting(args.agent, None)[0]
     motions = chosen(load_recordings(args.motions, seed=args.seed), args.max_clips)
-    poses = estimates(system, scenarios(system)[0].devices, motions)
-    references = [reference_of(p, m) for p, m in zip(poses, motions, strict=True)]
+    base = base_of(args.agent) or args.agent
+    with workers(args.threads) as mapper:
+        references = list(mapper(reference, [(base, scenario, motion, 0) for motion in motions]))
     rollouts = follow_poses(references, motions, args.threads)
     tracker = load_agent(TRACKER)
     clips = [rollout.reference for rollout in rollouts]

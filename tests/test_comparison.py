@@ -2,15 +2,17 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 
-from agents.comparison import FIGURES, FILES, faulty, scenarios, table
+from agents.comparison import FIGURES, FILES, everyone, plan
 from agents.comparison_plots import KINDS, kind_of
-from agents.comparison_report import Row
+from agents.comparison_report import Row, table
+from agents.comparison_scenarios import faulty, scenarios
 from agents.evaluation import EvaluateArgs, evaluate
 from agents.kinematic import load_system
 from agents.kinematic.data import MotionBank
@@ -21,7 +23,7 @@ from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import save_system
 from questsim.cli import main
 from questsim.errors import InputError
-from questsim.joint_sensors import readings
+from questsim.joint_sensors import SensorSequence, readings
 from questsim.motion.library import save_library
 from questsim.motion.retarget_back import to_motion
 from questsim.sensors import SENSOR_SETS
@@ -69,7 +71,8 @@ def test_one_command_scores_all_systems_on_the_same_frames(tmp_path, capsys):
     ("options", "message"),
     [
         ({"agents": ("ik",)}, "a comparison needs a folder"),
-        ({"out": "there"}, "names no system"),
+        ({"agents": ("ik",), "sensors": "7T", "out": "there"}, "unknown sensor set '7T'"),
+        ({"agents": ("ik",), "sensors": "H", "out": "there"}, "ik is not run with H"),
         ({"agents": ("nobody",), "out": "there"}, "nobody: is no kinematic system"),
     ],
 )
@@ -86,6 +89,38 @@ def test_an_evaluation_of_nobody_is_refused():
         evaluate(EvaluateArgs(agent=""))
 
 
+def test_without_names_all_that_is_shipped_is_compared_once_and_nobody_who_is_told_the_answer():
+    found = everyone()
+    assert {"ik", "hmdposer", "lgsik", "hmdposer+physics", "questsim"} <= set(found)
+    assert not {"tracker", "demo"} & set(found) and len(set(found)) == len(found)
+
+
+def test_only_scenarios_of_the_sensors_given_are_run():
+    planned = plan((), "H+2C")
+    assert {"hmdposer", "lgsik", "lgsik+physics", "questsim"} <= set(planned)
+    assert not {"ik", "questsim-headset"} & set(planned)
+    names = [scenario.name for scenario in planned["hmdposer"]]
+    assert names == ["HMD", "HMD, window 40"]
+    assert [scenario.name for scenario in planned["hmdposer+physics"]] == ["HMD"]
+
+
+def test_two_processes_give_the_figures_of_one(tmp_path):
+    motions = tmp_path / "motions.npz"
+    save_library(motions, [MOTION, replace(MOTION, name="other")], [])
+    hmd = saved("hmdposer", tmp_path / "hmd")
+    found = []
+    for threads in (1, 2):
+        out = tmp_path / f"scores{threads}"
+        args = EvaluateArgs(
+            compare=True, agents=(hmd,), sensors="H+2C", motions=str(motions), out=out,
+            threads=threads,
+        )  # fmt: skip
+        assert evaluate(args) == 0
+        rows = json.loads((out / "comparison.json").read_text())["rows"]
+        found.append([(row["scenario"], row["pooled"]) for row in rows])
+    assert found[0] == found[1] and len(found[0]) == 2
+
+
 def test_dragposer_is_compared_in_every_scenario_of_its_table(tmp_path):
     names = [s.name for s in scenarios(load_system(saved("dragposer", tmp_path / "drag")))]
     assert names[:5] == ["3 head+hands", "3 hip+hands", "4", "5 no left foot", "6"]
@@ -99,6 +134,13 @@ def test_the_window_protocol_forgets_what_is_older_than_the_window(tmp_path):
     seen, body = readings(motion, SENSOR_SETS["H+2C"]), Body.of(motion)
     whole = system.predict(seen, body)
     windowed = system.predict_windows(seen, body, 8)
+    assert len(windowed) == len(whole) > 8
+    last = SensorSequence(seen.time_s[-8:], seen.names, *(
+        array[-8:] for array in (seen.position, seen.quat, seen.acceleration, seen.present)
+    ))  # fmt: skip
+    alone = system.predict(last, body)
+    assert np.allclose(windowed.rotations[-1], alone.rotations[-1], atol=1e-5)
+    assert np.allclose(windowed.root_position[-1], alone.root_position[-1], atol=1e-5)
     assert np.allclose(windowed.rotations[:8], whole.rotations[:8], atol=1e-5)
     assert not np.allclose(windowed.rotations[-1], whole.rotations[-1], atol=1e-5)
 
@@ -116,7 +158,7 @@ def test_a_faulty_tracker_is_silent_for_a_hundred_frames_and_one_always_reports(
 
 def test_a_figure_there_is_nothing_to_average_for_is_a_dash(tmp_path):
     row = Row("a", "6", 10, {"pos_cm": None}, {"pos_cm": None}, 1.0)
-    assert "| a | 6 | - | 10 | - | - | 1.0 |" in table([row], "equal")
+    assert "| a | 6 | - | 10 | - | - | 1.00 |" in table([row], "equal")
 
 
 def test_figures_tell_physics_and_policies_from_poses_and_show_what_is_missing(tmp_path):

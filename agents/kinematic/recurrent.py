@@ -26,6 +26,8 @@ SHAPE_UNIT = 0.1
 """The shape numbers are logarithms of bone lengths against the template's, in tenths."""
 HISTORY = 2
 """Frames before a window that accelerations reach back to."""
+WINDOWS_AT_ONCE = 64
+"""Of the online protocol: more of them take more memory, not less time."""
 VISIBLE = ((False, False, False), (True, True, False), (True, True, True))
 """Which IMUs there are: HMD, HMD+2IMU, HMD+3IMU; drawn evenly in training."""
 
@@ -153,27 +155,35 @@ class RecurrentPoser(KinematicSystem):
             body: the user's.
             frames: of a window.
         """
-        poses = []
-        for t in range(len(sequence)):
-            first = max(0, t + 1 - frames)
-            rows = slice(first, t + 1)
-            window = SensorSequence(
-                sequence.time_s[rows],
-                sequence.names,
-                sequence.position[rows],
-                sequence.quat[rows],
-                sequence.acceleration[rows],
-                sequence.present[rows],
+        signals = self._all_signals(sequence, body)
+        first = Signals(*(array[:frames] for array in vars(signals).values()))
+        # Windows that begin with the sequence are what a stream has seen by then.
+        parts = [self._next(first)]
+        position, rotation, acceleration, seen = self._inputs(signals)
+        for begin in range(1, len(sequence) - frames + 1, WINDOWS_AT_ONCE):
+            end = min(begin + WINDOWS_AT_ONCE, len(sequence) - frames + 1)
+            rows = torch.arange(begin, end)[:, None] + torch.arange(frames)
+            told, heading = features(
+                position[0, rows],
+                rotation[0, rows],
+                acceleration[0, rows],
+                seen.expand(len(rows), -1),
             )
-            part = self.predict(window, body)
-            poses.append(Poses(part.root_position[-1:], part.rotations[-1:], part.offsets[-1:]))
-        return Poses.joined(poses)
+            six, shape, _ = self.module.net(told, self._measured.expand(len(rows), -1), None)
+            head = position[0, rows[:, -1], 0]
+            parts.append(self._poses(six[:, -1], shape.mean(dim=1), heading[:, -1], head))
+        return Poses.joined(parts)
 
     def predict(self, sequence: SensorSequence, body: Body) -> Poses:
         """As ``KinematicSystem.predict``, all frames at once where the stream has no gap."""
         gaps = np.diff(sequence.time_s) * SENSOR_FPS
         if len(sequence) < 2 or abs(gaps - 1.0).max() > 0.5 or not sequence.present.all():
             return super().predict(sequence, body)
+        poses = self._next(self._all_signals(sequence, body))
+        return poses if poses.finite() else super().predict(sequence, body)
+
+    def _all_signals(self, sequence: SensorSequence, body: Body) -> Signals:
+        """A stream begins: the signals of all its frames, checked as ``step`` does."""
         self.reset(body, sequence.names)
         frames = []
         for t in range(len(sequence)):
@@ -184,8 +194,7 @@ class RecurrentPoser(KinematicSystem):
             np.stack([f.position for f in frames]), np.stack([f.quat for f in frames]), mounted
         )
         acceleration = np.stack([f.acceleration for f in frames])
-        poses = self._next(Signals(position, quat, acceleration, sequence.present))
-        return poses if poses.finite() else super().predict(sequence, body)
+        return Signals(position, quat, acceleration, np.stack([f.present for f in frames]))
 
 
 def _quats(matrix: np.ndarray) -> np.ndarray:

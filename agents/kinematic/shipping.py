@@ -9,8 +9,8 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
-from agents.comparison import parameters
 from agents.comparison_report import SCHEMA, SCHEMA_VERSION
+from agents.comparison_run import parameters
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import CARD_FILE, load_system, read_system_card
