@@ -9,7 +9,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import torch
@@ -43,8 +43,16 @@ from questsim.sensors import SENSOR_SETS
 TIMED_FRAMES = 600
 """Frames over which streaming is timed."""
 
-Job, Result = TypeVar("Job"), TypeVar("Result")
-Mapper = Callable[[Callable[[Job], Result], Iterable[Job]], Iterable[Result]]
+J = TypeVar("J")
+R = TypeVar("R")
+
+
+class Mapper(Protocol):
+    """As ``map``: the results of a function of every job, in their order."""
+
+    def __call__(self, function: Callable[[J], R], jobs: Iterable[J], /) -> Iterable[R]:
+        """The results."""
+        ...
 
 
 @contextmanager
