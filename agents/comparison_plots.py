@@ -21,6 +21,7 @@ _ACCURACY: tuple[Pair, ...] = (
 )
 _PLAUSIBILITY: tuple[tuple[str, str], ...] = (
     ("foot_skate_cm_s", "Foot skate (cm/s)"),
+    ("floating_cm", "Floating (cm)"),
     ("penetration_cm", "Floor penetration (cm)"),
     ("root_force_bw", "Force on the root (body weights)"),
 )
@@ -55,9 +56,9 @@ def plot_accuracy(rows: Sequence[Row], path: Path) -> None:
 
 
 def plot_plausibility(rows: Sequence[Row], path: Path) -> None:
-    """Foot skate, floor penetration and force on the root; the colour says what a row is."""
-    with figure_file(path, 10.0, 0.3 * len(rows) + 1.3) as figure:
-        axes = figure.subplots(1, 3, sharey=True)
+    """Skating, floating, penetration and force on the root; the colour says what a row is."""
+    with figure_file(path, 11.0, 0.3 * len(rows) + 1.3) as figure:
+        axes = figure.subplots(1, len(_PLAUSIBILITY), sharey=True)
         kinds = [kind_of(row) for row in rows]
         colours = [KINDS[kind] for kind in kinds]
         for axis, (name, label) in zip(axes, _PLAUSIBILITY, strict=True):

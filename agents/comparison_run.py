@@ -43,14 +43,16 @@ from questsim.sensors import SENSOR_SETS
 TIMED_FRAMES = 600
 """Frames over which streaming is timed."""
 
-J = TypeVar("J")
-R = TypeVar("R")
+JobT = TypeVar("JobT")
+ResultT = TypeVar("ResultT")
 
 
 class Mapper(Protocol):
     """As ``map``: the results of a function of every job, in their order."""
 
-    def __call__(self, function: Callable[[J], R], jobs: Iterable[J], /) -> Iterable[R]:
+    def __call__(
+        self, function: Callable[[JobT], ResultT], jobs: Iterable[JobT], /
+    ) -> Iterable[ResultT]:
         """The results."""
         ...
 
@@ -148,10 +150,10 @@ def run(
     return replace(row, mmac=mmac, stream_kib=stream_kib(system))
 
 
-_Job = tuple[str, Scenario, Motion, int]
+Job = tuple[str, Scenario, Motion, int]
 
 
-def _scored(job: _Job) -> dict[str, np.ndarray]:
+def _scored(job: Job) -> dict[str, np.ndarray]:
     motion, poses = job[2], reconstructed(job)
     want, _ = motion.forward_kinematics()
     got, _ = poses.forward_kinematics()
@@ -163,7 +165,7 @@ def _scored(job: _Job) -> dict[str, np.ndarray]:
     return samples | {"root_force_bw": force}
 
 
-def reconstructed(job: _Job) -> Poses:
+def reconstructed(job: Job) -> Poses:
     """What a system makes of a motion at 60 Hz; as on a stream, or each frame from its window."""
     agent, scenario, motion, _ = job
     system, sequence, body = _loaded(agent, scenario.options), _told(job), Body.of(motion)
@@ -173,14 +175,14 @@ def reconstructed(job: _Job) -> Poses:
     return system.predict(sequence, body)
 
 
-def _told(job: _Job) -> SensorSequence:
+def _told(job: Job) -> SensorSequence:
     """What the devices report, with the scenario's faults."""
     _, scenario, motion, seed = job
     sequence = readings(motion, scenario.devices)
     return faulty(sequence, scenario.faults, seed) if scenario.faults else sequence
 
 
-def _streamed_ms(scenario: Scenario, jobs: Sequence[_Job]) -> float | None:
+def _streamed_ms(scenario: Scenario, jobs: Sequence[Job]) -> float | None:
     """Milliseconds a frame on one thread, over the first frames; None of windows."""
     if scenario.online:
         return None
@@ -233,7 +235,7 @@ def run_physics(
     ]
 
 
-def reference(job: _Job) -> Clip:
+def reference(job: Job) -> Clip:
     """What the avatar is asked to follow: a system's poses on it."""
     return reference_of(reconstructed(job), job[2])
 

@@ -64,6 +64,10 @@ COMMANDS: dict[str, Command] = {
         "agents.evaluation", "evaluate", "EvaluateArgs",
         "let an agent follow clips and score it",
     ),
+    "estimate": Command(
+        "agents.kinematic.estimate", "estimate", "EstimateArgs",
+        "write a library of what a kinematic system makes of motions",
+    ),
     "envs": Command(
         "envs.commands", "list_environments", "ListArgs",
         "list the environments and their options",

@@ -28,6 +28,8 @@ FEET: tuple[int, ...] = tuple(
     JOINTS.index(f"{side}_{part}") for side in ("left", "right") for part in ("ankle", "toe")
 )
 
+PLANTED_M_S = 0.1
+"""A foot's joint slower than this, and low, is one that stands."""
 CONTACT_M = 0.02
 """A foot's joint this near to where it stands on the floor is taken to bear on it."""
 STANDING_PERCENTILE = 10.0
@@ -83,17 +85,40 @@ def rot_deg(rotations: np.ndarray, reference: np.ndarray) -> np.ndarray:
     return np.degrees(rot.angle_between(rotations, reference)).mean(axis=-1)
 
 
-def foot_skate_cm_s(position: np.ndarray, reference: np.ndarray, fps: float) -> np.ndarray:
-    """Horizontal speed in cm/s ``(K,)`` of ankles and toes while they stand, in adjacent frames.
+def planted(reference: np.ndarray, fps: float) -> np.ndarray:
+    """Whether the user's ankles and toes stand still, bool ``(F - 1, 4)``, between two frames.
 
-    A joint stands where it is within 2 cm of its standing height, which is the 10th percentile of
-    its heights in the reference. One sample a joint and pair of frames; see ``metrics_terms`` for
-    the sources of the measure.
+    A joint does while it is within 2 cm of its standing height, which is the 10th percentile of its
+    heights, and slower than 10 cm/s.
+    """
+    feet = reference[:, FEET]
+    moved = np.linalg.norm(np.diff(feet[..., :2], axis=0), axis=-1) * fps
+    return _low(feet, reference) & (moved < PLANTED_M_S)
+
+
+def foot_skate_cm_s(position: np.ndarray, reference: np.ndarray, fps: float) -> np.ndarray:
+    """Horizontal speed in cm/s ``(K,)`` of ankles and toes that should stand still.
+
+    Counted where the user's joint is ``planted`` and the estimate's is within 2 cm of its standing
+    height as well. Height alone would not do: a toe that swings over the floor comes as near, and
+    the recordings themselves would skate by 10 cm/s. One sample a joint and pair of frames; see
+    ``metrics_terms`` for the sources of the measure.
     """
     feet = position[:, FEET]
-    low = feet[..., 2] - standing_heights(reference) < CONTACT_M
     moved = np.linalg.norm(np.diff(feet[..., :2], axis=0), axis=-1) * fps * _CM
-    return moved[low[1:] & low[:-1]]
+    return moved[planted(reference, fps) & _low(feet, reference)]
+
+
+def floating_cm(position: np.ndarray, reference: np.ndarray, fps: float) -> np.ndarray:
+    """Height in cm ``(K,)`` of ankles and toes above standing where the user's are ``planted``."""
+    raised = position[1:, FEET, 2] - standing_heights(reference)
+    return np.maximum(raised, 0.0)[planted(reference, fps)] * _CM
+
+
+def _low(feet: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Which feet ``(F, 4, 3)`` are near standing height, in both of two frames ``(F - 1, 4)``."""
+    low = feet[..., 2] - standing_heights(reference) < CONTACT_M
+    return low[1:] & low[:-1]
 
 
 def floor_penetration_cm(position: np.ndarray, reference: np.ndarray) -> np.ndarray:
@@ -138,5 +163,6 @@ def pose_samples(
         "ee_cm": joints_cm(by_root, reference, ENDS),
         "world_cm": joints_cm(position, reference),
         "foot_skate_cm_s": foot_skate_cm_s(position, reference, fps),
+        "floating_cm": floating_cm(position, reference, fps),
         "penetration_cm": floor_penetration_cm(position, reference),
     }

@@ -99,8 +99,8 @@ def test_a_comparison_has_the_system_without_and_with_physics_and_the_policy(tmp
     ]  # fmt: skip
     told = [row["pooled"].get("success_percent") for row in rows]
     assert told[:3] == [None, None, 100.0] and told[3] is not None
-    # It hangs in the air to inverse dynamics; the simulated avatar stands on the floor.
-    assert rows[2]["pooled"]["root_force_bw"] < rows[1]["pooled"]["root_force_bw"]
+    # Who stands on the floor needs nothing that pulls at the pelvis.
+    assert all(row["pooled"]["root_force_bw"] < 0.05 for row in rows)
     assert rows[2]["parameters"] > rows[1]["parameters"] == 0
 
 

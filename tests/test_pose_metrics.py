@@ -12,6 +12,7 @@ from questsim.pose_metrics import (
     HEAD,
     LOWER,
     UPPER,
+    floating_cm,
     floor_penetration_cm,
     foot_skate_cm_s,
     jitter_100_m_s3,
@@ -96,6 +97,22 @@ def test_skating_counts_only_feet_that_stand():
     assert len(foot_skate_cm_s(slid + np.array([0.0, 0.0, 0.05]), still, 60.0)) == 0
 
 
+def test_a_foot_that_the_user_swings_near_the_floor_does_not_skate():
+    still = np.repeat(POSITION[:1], 10, axis=0)
+    swung = still.copy()
+    swung[:, FEET[2:], 0] += (np.arange(10) / 60.0 * 0.5)[:, None]  # the right foot, at 0.5 m/s
+    told = foot_skate_cm_s(swung, swung, 60.0)
+    assert len(told) == 9 * 2 and told.max() == pytest.approx(0.0)
+
+
+def test_floating_is_the_height_of_feet_where_the_users_stand():
+    still = np.repeat(POSITION[:1], 10, axis=0)
+    assert floating_cm(still + np.array([0.0, 0.0, 0.03]), still, 60.0) == pytest.approx(3.0)
+    assert floating_cm(still - np.array([0.0, 0.0, 0.03]), still, 60.0).max() == 0.0
+    raised = still + (np.arange(10) / 10.0)[:, None, None] * [0.0, 0.0, 1.0]
+    assert len(floating_cm(still, raised, 60.0)) < 9 * 4  # no longer planted
+
+
 def test_penetration_is_the_depth_of_the_deepest_foot_joint():
     still = np.repeat(POSITION[:1], len(POSITION), axis=0)
     sunk = still.copy()
@@ -110,6 +127,10 @@ def test_who_hovers_needs_a_force_of_one_body_weight_and_who_falls_freely_none()
     qpos[:, 2] += 1.0
     hovering = clip_from_qpos("hover", qpos, clip.height_m)
     assert root_force(hovering) == pytest.approx(1.0, abs=1e-6)
+    qpos[:, 2] -= 0.99  # a centimetre above the floor, which may carry there
+    nearly = clip_from_qpos("nearly", qpos, clip.height_m)
+    assert root_force(nearly).max() < 0.3
+    qpos[:, 2] += 0.99
     qpos[:, 2] += 3.0 - 0.5 * 9.81 * (np.arange(12) / 36.0) ** 2
     falling = clip_from_qpos("fall", qpos, clip.height_m)
     assert root_force(falling)[2:-2].max() < 0.02

@@ -79,10 +79,7 @@ def import_motions(args: ImportArgs) -> None:
     from questsim.motion.retarget import mirror_clip
 
     out = Path(args.out)
-    if out.suffix.lower() != ".npz":
-        raise InputError("a library's name ends in .npz", out)
-    if not out.parent.is_dir():
-        raise InputError("no such folder", out.parent, "create it first")
+    check_library_path(out)
     options = ReadOptions(
         args.units, args.up, args.fps, args.mapping, args.height, args.smpl,
         args.licence, args.accept,
@@ -105,6 +102,18 @@ def import_motions(args: ImportArgs) -> None:
     if done:
         _print_errors(done)
     print(f"{len(clips)} clips, {sum(c.duration for c in clips):.0f} s, in {out}")
+
+
+def check_library_path(out: Path) -> None:
+    """Refuse what cannot become a library, before the work begins.
+
+    Raises:
+        InputError: the name has another ending, or there is no such folder.
+    """
+    if out.suffix.lower() != ".npz":
+        raise InputError("a library's name ends in .npz", out)
+    if not out.parent.is_dir():
+        raise InputError("no such folder", out.parent, "create it first")
 
 
 def _read(files: Sequence[Path], options: ReadOptions) -> list[Retargeted]:

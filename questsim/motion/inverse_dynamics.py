@@ -57,11 +57,20 @@ class InverseDynamics:
         self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
         self._data = mujoco.MjData(self._model)
+        gravity = float(np.linalg.norm(self._model.opt.gravity))
+        self.weight_n = float(self._model.body_mass.sum()) * gravity
         self._soles = sole_points() * height_m / DEFAULT_HEIGHT_M
         self._jacobian = np.zeros((3, self._model.nv))
 
     def torques(self, clip: Clip) -> np.ndarray:
         """Joint torques in N m ``(T, 33)`` at each frame of a clip of this height."""
+        return self.forces(clip)[:, 6:]
+
+    def forces(self, clip: Clip) -> np.ndarray:
+        """All generalised forces ``(T, 39)`` at each frame of a clip of this height.
+
+        The first six act on the root, in N in the world and in N m: what the floor cannot give.
+        """
         acceleration = np.gradient(clip.qvel, 1.0 / FPS, axis=0)
         return np.stack(
             [
@@ -88,7 +97,7 @@ class InverseDynamics:
             wanted = np.concatenate([force[:6] * ROOT_WEIGHTS, np.zeros(len(edges))])
             factors, _ = nnls(np.vstack([root, SPREAD * np.eye(len(edges))]), wanted)
             force -= edges.T @ factors
-        return force[6:]
+        return force
 
 
 def reference_torques(clips: Sequence[Clip], preset: str = "default") -> np.ndarray:
