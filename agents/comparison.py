@@ -18,7 +18,7 @@ from agents.checkpoint import CARD_FILE as POLICY_CARD
 from agents.checkpoint import SHIPPED, find_policy, read_card
 from agents.comparison_plots import plot_accuracy, plot_plausibility
 from agents.comparison_report import table, write
-from agents.comparison_run import check_agent, is_policy, rows_of, suiting, workers
+from agents.comparison_run import check_agent, is_policy, rows_of, run_recording, suiting, workers
 from agents.comparison_scenarios import Scenario
 from agents.kinematic.data import motions_record
 from agents.kinematic.physics import SUFFIX, base_of
@@ -69,8 +69,8 @@ def compare(
     planned = plan(agents, sensors)
     check_writable(out)
     recordings = chosen(load_recordings(motions, seed=seed), max_clips)
-    rows = []
     with workers(threads) as mapper:
+        rows = [run_recording(recordings, mapper)]
         for agent, scenarios in planned.items():
             for row in rows_of(agent, scenarios, recordings, seed, threads, mapper):
                 print(f"{agent}: {row.scenario}", file=sys.stderr, flush=True)

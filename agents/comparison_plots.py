@@ -8,7 +8,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
-from agents.comparison_report import Row
+from agents.comparison_report import RECORDING, Row
 from questsim.plots import BLUE, GREEN, GREY, ORANGE, figure_file
 
 KINDS: dict[str, str] = {"kinematic": GREY, "with physics behind it": ORANGE, "policy": BLUE}
@@ -37,6 +37,7 @@ def kind_of(row: Row) -> str:
 
 def plot_accuracy(rows: Sequence[Row], path: Path) -> None:
     """Errors of all joints and of hands and ends, a pair of bars a row, over all frames."""
+    rows = [row for row in rows if row.agent != RECORDING]
     with figure_file(path, 9.0, 0.42 * len(rows) + 1.2) as figure:
         axes = figure.subplots(1, 2, sharey=True)
         for axis, (label, bars) in zip(axes, _ACCURACY, strict=True):

@@ -14,6 +14,8 @@ import numpy as np
 from questsim.files import whole_file
 
 SCHEMA, SCHEMA_VERSION = "questsim-comparison", 1
+RECORDING = "recording"
+"""What the row of the motions themselves is called."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import torch
 
 from agents.agent import load_agent
 from agents.checkpoint import find_policy, load_policy
-from agents.comparison_report import Row, row_of
+from agents.comparison_report import RECORDING, Row, row_of
 from agents.comparison_scenarios import RECURRENT_SETS, WINDOW, Scenario, faulty, scenarios
 from agents.evaluation import env_config, roll_out
 from agents.kinematic.efficiency import mmac_a_frame, stream_kib
@@ -127,6 +127,16 @@ def rows_of(
             yield from run_physics(agent, scenario, motions, threads, mapper)
 
 
+def run_recording(motions: Sequence[Motion], mapper: Mapper = map) -> Row:
+    """The motions held against themselves: no error, but how they skate, jitter and float."""
+    return row_of(RECORDING, "60 Hz", 0, list(mapper(_scored_itself, motions)), None)
+
+
+def _scored_itself(motion: Motion) -> dict[str, np.ndarray]:
+    offsets = np.broadcast_to(motion.offsets, (len(motion), *motion.offsets.shape))
+    return _samples(Poses(motion.root_position, motion.rotations, offsets), motion)
+
+
 # -- a system ----------------------------------------------------------------------------------
 
 
@@ -154,7 +164,10 @@ Job = tuple[str, Scenario, Motion, int]
 
 
 def _scored(job: Job) -> dict[str, np.ndarray]:
-    motion, poses = job[2], reconstructed(job)
+    return _samples(reconstructed(job), job[2])
+
+
+def _samples(poses: Poses, motion: Motion) -> dict[str, np.ndarray]:
     want, _ = motion.forward_kinematics()
     got, _ = poses.forward_kinematics()
     samples = pose_samples(got, poses.rotations, want, motion.rotations, motion.fps)

@@ -52,7 +52,10 @@ def test_one_command_scores_all_systems_on_the_same_frames(tmp_path, capsys):
     args = EvaluateArgs(compare=True, agents=("ik", hmd), motions=str(motions), out=out, threads=1)
     assert evaluate(args) == 0
     report = json.loads((out / "comparison.json").read_text())
-    assert [row["agent"] for row in report["rows"]] == ["ik", *[hmd] * 6]
+    assert [row["agent"] for row in report["rows"]] == ["recording", "ik", *[hmd] * 6]
+    recording = report["rows"].pop(0)["pooled"]
+    assert recording["pos_cm"] == pytest.approx(0.0, abs=1e-6)
+    assert recording["jitter_100_m_s3"] > 0.0
     ik = report["rows"][0]["pooled"]
     assert ik["pos_cm"] < 1.0 and ik["ee_cm"] < 1.0
     told = [row["mmac"] for row in report["rows"]]
@@ -61,7 +64,7 @@ def test_one_command_scores_all_systems_on_the_same_frames(tmp_path, capsys):
     assert report["rows"][1]["pooled"]["mpjpe_cm"] > ik["mpjpe_cm"]
     with (out / "comparison.csv").open() as file:
         lines = list(csv.DictReader(file))
-    assert len(lines) == 14 and float(lines[0]["pos_cm"]) >= 0
+    assert len(lines) == 16 and float(lines[0]["pos_cm"]) >= 0
     assert "| ik | 6 |" in (out / "comparison.md").read_text()
     assert {file.name for file in out.iterdir()} == set(FILES)
     assert "| ik | 6 |" in capsys.readouterr().out
@@ -118,7 +121,7 @@ def test_two_processes_give_the_figures_of_one(tmp_path):
         assert evaluate(args) == 0
         rows = json.loads((out / "comparison.json").read_text())["rows"]
         found.append([(row["scenario"], row["pooled"]) for row in rows])
-    assert found[0] == found[1] and len(found[0]) == 2
+    assert found[0] == found[1] and len(found[0]) == 3
 
 
 def test_dragposer_is_compared_in_every_scenario_of_its_table(tmp_path):
