@@ -17,7 +17,7 @@ from agents.agent import load_agent
 from agents.checkpoint import CARD_FILE as POLICY_CARD
 from agents.checkpoint import SHIPPED, find_policy, read_card
 from agents.comparison_plots import plot_accuracy, plot_plausibility
-from agents.comparison_report import table, write
+from agents.comparison_report import COSTS, TABLES, table, write
 from agents.comparison_run import check_agent, is_policy, rows_of, run_recording, suiting, workers
 from agents.comparison_scenarios import Scenario
 from agents.kinematic.data import motions_record
@@ -86,7 +86,8 @@ def compare(
     for name, plot in FIGURES.items():
         with whole_file(out / name) as path:
             plot(rows, path)
-    print(table(rows, "pooled"))
+    for names in (*TABLES.values(), COSTS):
+        print(table(rows, names), end="\n\n")
     print(f"written to {out}")
     return 0
 

@@ -75,22 +75,71 @@ _Getter = Callable[[Row], dict[str, float | None]]
 _WEIGHTS: dict[str, _Getter] = {"equal": lambda row: row.equal, "pooled": lambda row: row.pooled}
 
 
+LABELS: dict[str, str] = {
+    "mpjre_deg": "MPJRE (deg)", "mpjpe_cm": "MPJPE (cm)", "mpjve_cm_s": "MPJVE (cm/s)",
+    "jitter_100_m_s3": "jitter (100 m/s³)", "h_pe_cm": "H-PE (cm)", "u_pe_cm": "U-PE (cm)",
+    "l_pe_cm": "L-PE (cm)", "r_pe_cm": "R-PE (cm)", "pos_cm": "pos (cm)", "rot_deg": "rot (deg)",
+    "vel_cm_s": "vel (cm/s)", "ee_cm": "EE (cm)", "world_cm": "world (cm)",
+    "foot_skate_cm_s": "skate (cm/s)", "floating_cm": "floating (cm)",
+    "penetration_cm": "penetration (cm)", "root_force_bw": "root force (body weights)",
+    "success_percent": "success (%)", "parameters": "parameters", "mmac": "MMAC a frame",
+    "stream_kib": "KiB a stream", "ms": "ms a frame",
+}  # fmt: skip
+"""Names of figures in tables."""
+
+TABLES: dict[str, tuple[str, ...]] = {
+    "Heads moved onto each other (HMD-Poser, LGSIK-Poser)": (
+        "mpjre_deg", "mpjpe_cm", "mpjve_cm_s", "jitter_100_m_s3",
+        "h_pe_cm", "u_pe_cm", "l_pe_cm", "r_pe_cm",
+    ),
+    "Roots moved onto each other (SparsePoser, DragPoser)": (
+        "pos_cm", "rot_deg", "vel_cm_s", "ee_cm", "jitter_100_m_s3",
+    ),
+    "Plausibility": (
+        "success_percent", "world_cm", "foot_skate_cm_s", "floating_cm", "penetration_cm",
+        "root_force_bw",
+    ),
+}  # fmt: skip
+COSTS: tuple[str, ...] = ("parameters", "mmac", "stream_kib", "ms")
+
+
 def _columns(rows: Sequence[Row]) -> list[str]:
     return list(dict.fromkeys(name for row in rows for name in row.pooled))
 
 
-def table(rows: Sequence[Row], weighting: str) -> str:
-    """A Markdown table; ``weighting`` is ``equal`` or ``pooled``."""
-    names = _columns(rows)
-    head = ["agent", "scenario", *names, "parameters", "MMAC a frame", "KiB a stream", "ms a frame"]
+def table(rows: Sequence[Row], names: Sequence[str], weighting: str = "pooled") -> str:
+    """A Markdown table of some figures.
+
+    Args:
+        rows: one line each.
+        names: of ``LABELS``.
+        weighting: ``equal`` or ``pooled``.
+    """
+    head = ["agent", "scenario", *(LABELS[name] for name in names)]
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for row in rows:
-        figures = [_WEIGHTS[weighting](row).get(name) for name in names]
-        cells = ["-" if value is None else f"{value:.2f}" for value in figures]
-        costs = ["-" if x is None else f"{x:.2f}" for x in (row.mmac, row.stream_kib, row.ms)]
-        told = [row.agent, row.scenario, *cells, f"{row.parameters:,}", *costs]
-        lines.append(f"| {' | '.join(told)} |")
+        figures = {**_WEIGHTS[weighting](row), **{name: getattr(row, name) for name in COSTS}}
+        cells = [_cell(figures.get(name)) for name in names]
+        lines.append(f"| {' | '.join([row.agent, row.scenario, *cells])} |")
     return "\n".join(lines)
+
+
+def _cell(value: float | None) -> str:
+    if value is None:
+        return "-"
+    return f"{value:,}" if isinstance(value, int) else f"{value:.2f}"
+
+
+def tables(rows: Sequence[Row]) -> str:
+    """All tables as Markdown, means over all frames, and at the end once more over clips."""
+    parts = []
+    for title, names in TABLES.items():
+        parts += [f"## {title}", "", table(rows, names), ""]
+    parts += ["## Costs", "", table(rows, COSTS), ""]
+    parts += ["# Means of the clips' means (equal-weighted)", ""]
+    for title, names in TABLES.items():
+        parts += [f"## {title}, clips alike", "", table(rows, names, "equal"), ""]
+    return "\n".join(parts)
 
 
 def write(rows: Sequence[Row], context: dict[str, Any], out: Path) -> None:
@@ -111,25 +160,16 @@ def write(rows: Sequence[Row], context: dict[str, Any], out: Path) -> None:
     with whole_file(out / "comparison.csv") as path, path.open("w", newline="") as file:
         names = _columns(rows)
         writer = csv.writer(file)
-        costs = ["parameters", "mmac", "stream_kib", "ms"]
-        writer.writerow(["agent", "scenario", "weighting", *names, *costs])
+        writer.writerow(["agent", "scenario", "weighting", *names, *COSTS])
         for row in rows:
-            told = [getattr(row, name) for name in costs]
+            told = [getattr(row, name) for name in COSTS]
             for weighting, figures in _WEIGHTS.items():
                 values = [figures(row).get(name) for name in names]
                 writer.writerow([row.agent, row.scenario, weighting, *values, *told])
-    parts = [
-        "# Comparison of kinematic systems",
-        "",
-        f"{context['data']['clips']} clips of `{context['data']['motions']}`, 60 frames a second.",
-        "",
-        "## All frames alike (length-weighted)",
-        "",
-        table(rows, "pooled"),
-        "",
-        "## All clips alike (equal-weighted)",
-        "",
-        table(rows, "equal"),
-    ]
+    data = context["data"]
+    text = (
+        f"# Comparison\n\n{data['clips']} clips of `{data['motions']}`, 60 frames a second. Means "
+        f"over all frames (length-weighted), but where it says clips.\n\n{tables(rows)}"
+    )
     with whole_file(out / "comparison.md") as path:
-        path.write_text("\n".join(parts) + "\n", encoding="utf-8")
+        path.write_text(text, encoding="utf-8")

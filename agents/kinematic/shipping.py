@@ -9,7 +9,7 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
-from agents.comparison_report import SCHEMA, SCHEMA_VERSION
+from agents.comparison_report import LABELS, SCHEMA, SCHEMA_VERSION
 from agents.comparison_run import parameters
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.registry import AGENTS
@@ -20,13 +20,11 @@ from agents.provenance import options_of, run_of
 from agents.run_folder import read_run
 from questsim.errors import InputError
 
-SHOWN: dict[str, str] = {
-    "mpjre_deg": "MPJRE (deg)", "mpjpe_cm": "MPJPE (cm)", "mpjve_cm_s": "MPJVE (cm/s)",
-    "jitter_100_m_s3": "jitter (100 m/s³)", "h_pe_cm": "H-PE (cm)", "l_pe_cm": "L-PE (cm)",
-    "pos_cm": "pos (cm)", "rot_deg": "rot (deg)", "ee_cm": "EE (cm)",
-    "foot_skate_cm_s": "skate (cm/s)", "root_force_bw": "root force (body weights)",
-}  # fmt: skip
-"""Figures of a comparison that a card has, by their labels."""
+SHOWN: tuple[str, ...] = (
+    "mpjre_deg", "mpjpe_cm", "mpjve_cm_s", "jitter_100_m_s3", "h_pe_cm", "l_pe_cm", "pos_cm",
+    "rot_deg", "ee_cm", "foot_skate_cm_s", "floating_cm", "root_force_bw",
+)  # fmt: skip
+"""Figures of a comparison that a card has."""
 
 USE = """\
 To estimate a user's whole pose, one frame after the other, from the devices named above: for
@@ -145,7 +143,7 @@ def comparison_lines(path: Path, training: Mapping[str, Any]) -> list[str]:
         "",
         "Streamed frame by frame; all frames alike.",
         "",
-        f"| scenario | {' | '.join(SHOWN[name] for name in names)} |",
+        f"| scenario | {' | '.join(LABELS[name] for name in names)} |",
         "|" + "---|" * (len(names) + 1),
     ]
     for row in rows:
