@@ -36,7 +36,7 @@ from questsim.joint_sensors import SensorSequence, readings
 from questsim.motion.clip import Clip
 from questsim.motion.motion import Motion
 from questsim.motion.retarget import to_clip
-from questsim.pose_metrics import pose_samples
+from questsim.pose_metrics import ENDS, pose_samples
 from questsim.root_force import root_force
 from questsim.sensors import SENSOR_SETS
 
@@ -118,7 +118,7 @@ def rows_of(
 ) -> Iterator[Row]:
     """All rows of one agent: a system, one with physics behind it, or a torque policy."""
     if is_policy(agent):
-        yield run_policy(agent, chosen[0].name, motions, threads)
+        yield run_policy(agent, chosen[0], motions, threads)
         return
     for scenario in chosen:
         if base_of(agent) is None:
@@ -164,13 +164,13 @@ Job = tuple[str, Scenario, Motion, int]
 
 
 def _scored(job: Job) -> dict[str, np.ndarray]:
-    return _samples(reconstructed(job), job[2])
+    return _samples(reconstructed(job), job[2], job[1].ends)
 
 
-def _samples(poses: Poses, motion: Motion) -> dict[str, np.ndarray]:
+def _samples(poses: Poses, motion: Motion, ends: Sequence[int] = ENDS) -> dict[str, np.ndarray]:
     want, _ = motion.forward_kinematics()
     got, _ = poses.forward_kinematics()
-    samples = pose_samples(got, poses.rotations, want, motion.rotations, motion.fps)
+    samples = pose_samples(got, poses.rotations, want, motion.rotations, motion.fps, ends)
     try:
         force = root_force(to_clip(poses.to_motion(motion.name)))
     except InputError:  # a body that no avatar has
@@ -238,8 +238,8 @@ def run_physics(
     rollouts = follow_poses(references, motions, threads)
     physics_ms = 1000.0 * (time.perf_counter() - began) / sum(map(len, motions))
     pairs = zip(references, rollouts, strict=True)
-    without = [avatar_samples(clip, rollout.reference) for clip, rollout in pairs]
-    behind = [rollout_samples(rollout) for rollout in rollouts]
+    without = [avatar_samples(clip, rollout.reference, scenario.ends) for clip, rollout in pairs]
+    behind = [rollout_samples(rollout, scenario.ends) for rollout in rollouts]
     count = parameters(_loaded(base, ()))
     name, whole = scenario.name, count + _policy_size(TRACKER)
     return [
@@ -253,14 +253,14 @@ def reference(job: Job) -> Clip:
     return reference_of(reconstructed(job), job[2])
 
 
-def run_policy(agent: str, scenario: str, motions: Sequence[Motion], threads: int) -> Row:
+def run_policy(agent: str, scenario: Scenario, motions: Sequence[Motion], threads: int) -> Row:
     """A torque policy on the same motions, with the devices it was made for."""
     policy = load_agent(agent)
     began = time.perf_counter()
     rollouts = roll_out(policy, [to_clip(m) for m in motions], env_config(policy), threads)
     ms = 1000.0 * (time.perf_counter() - began) / sum(map(len, motions))
-    scored = [rollout_samples(rollout) for rollout in rollouts]
-    return row_of(agent, scenario, _policy_size(agent), scored, ms)
+    scored = [rollout_samples(rollout, scenario.ends) for rollout in rollouts]
+    return row_of(agent, scenario.name, _policy_size(agent), scored, ms)
 
 
 def _policy_size(agent: str) -> int:

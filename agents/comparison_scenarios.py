@@ -14,6 +14,7 @@ from agents.kinematic.recurrent import RecurrentPoser
 from agents.kinematic.sparseposer import SparsePoser
 from questsim.joint_sensors import SensorSequence
 from questsim.sensors import SENSOR_SETS
+from questsim.skeleton import JOINTS
 
 WINDOW = 40
 """Frames of the online protocol's sliding window (LGSIK-Poser)."""
@@ -21,6 +22,14 @@ SILENT_FRAMES = 100
 """A faulty tracker returns after so many frames (DragPoser)."""
 RECURRENT_SETS = {"HMD": "H+2C", "HMD+2IMU": "H+2C+2IMU", "HMD+3IMU": "H+2C+3IMU"}
 """The papers' names of sets of sensors."""
+
+
+_END_OF = {
+    "headset": "head",
+    **{f"{side}_controller": f"{side}_wrist" for side in ("left", "right")},
+    **{f"{side}_toe_tracker": f"{side}_toe" for side in ("left", "right")},
+    **{f"{side}_foot_tracker": f"{side}_ankle" for side in ("left", "right")},
+}
 
 
 @dataclass(frozen=True)
@@ -46,9 +55,19 @@ class Scenario:
         """Whether the system is used as it is made for, by working devices, on a stream."""
         return not (self.online or self.options or self.faults)
 
+    @property
+    def ends(self) -> tuple[int, ...]:
+        """Joints at the body's ends that carry a device, for the error of end effectors."""
+        return tuple(JOINTS.index(_END_OF[name]) for name in self.devices if name in _END_OF)
+
     def has(self, devices: Sequence[str] | None) -> bool:
-        """Whether it is of just these devices; None means any."""
-        return devices is None or set(devices) == set(self.devices)
+        """Whether it is of just these devices, wherever on the feet; None means any."""
+        return devices is None or _on_feet(devices) == _on_feet(self.devices)
+
+
+def _on_feet(devices: Sequence[str]) -> set[str]:
+    """Devices, with trackers on toes and on ankles called alike."""
+    return {device.replace("_toe_", "_foot_") for device in devices}
 
 
 _HANDS = ("left_controller", "right_controller")

@@ -138,13 +138,20 @@ def pose_samples(
     reference: np.ndarray,
     reference_rotations: np.ndarray,
     fps: float,
+    ends: Sequence[int] = ENDS,
 ) -> dict[str, np.ndarray]:
     """All errors of one clip by name: samples as the functions above give them.
 
     ``mpjre``, ``mpjpe``, ``mpjve``, ``h_pe``, ``u_pe``, ``l_pe``, ``r_pe``: heads moved onto each
     other (HMD-Poser and LGSIK-Poser; Jiang et al., AvatarPoser, ECCV 2022). ``pos``, ``rot``,
-    ``vel``, ``ee``: roots moved onto each other (SparsePoser and DragPoser; ends are head, wrists
-    and toes). ``world``: nothing moved.
+    ``vel``, ``ee``: roots moved onto each other (SparsePoser and DragPoser). ``world``: nothing moved.
+
+    Args:
+        position, rotations: estimated.
+        reference, reference_rotations: of the user.
+        fps: frames a second of both.
+        ends: joints of ``ee``. Those that carry a device, as DragPoser must have it: its error with
+            four trackers, none on the feet, is that with six.
     """
     by_head = aligned(position, reference, HEAD)
     by_root = aligned(position, reference, ROOT)
@@ -160,7 +167,7 @@ def pose_samples(
         "pos_cm": joints_cm(by_root, reference),
         "rot_deg": rot_deg(rotations, reference_rotations),
         "vel_cm_s": velocity_cm_s(by_root, reference, fps),
-        "ee_cm": joints_cm(by_root, reference, ENDS),
+        "ee_cm": joints_cm(by_root, reference, ends),
         "world_cm": joints_cm(position, reference),
         "foot_skate_cm_s": foot_skate_cm_s(position, reference, fps),
         "floating_cm": floating_cm(position, reference, fps),

@@ -26,7 +26,9 @@ from questsim.errors import InputError
 from questsim.joint_sensors import SensorSequence, readings
 from questsim.motion.library import save_library
 from questsim.motion.retarget_back import to_motion
+from questsim.pose_metrics import pose_samples
 from questsim.sensors import SENSOR_SETS
+from questsim.skeleton import JOINTS
 from tests.helpers import swaying_clip
 
 MOTION = to_motion(swaying_clip(frames=20))
@@ -105,6 +107,31 @@ def test_only_scenarios_of_the_sensors_given_are_run():
     names = [scenario.name for scenario in planned["hmdposer"]]
     assert names == ["HMD", "HMD, window 40"]
     assert [scenario.name for scenario in planned["hmdposer+physics"]] == ["HMD"]
+
+
+def test_a_tracker_on_a_foot_is_one_wherever_it_is_worn(tmp_path):
+    drag = saved("dragposer", tmp_path / "drag")
+    planned = plan(("ik", drag), "6T")
+    assert [scenario.name for scenario in planned["ik"]] == ["6"]
+    assert "6, 1 iteration" in [scenario.name for scenario in planned[drag]]
+    assert not {"4", "5 no left foot"} & {scenario.name for scenario in planned[drag]}
+
+
+def test_end_effectors_are_those_that_carry_a_device(tmp_path):
+    (four,) = [s for s in scenarios(load_system(saved("dragposer", tmp_path))) if s.name == "4"]
+    assert [JOINTS[i] for i in four.ends] == ["head", "left_wrist", "right_wrist"]
+    (six,) = scenarios(load_system("ik"))
+    assert {JOINTS[i] for i in six.ends} - {JOINTS[i] for i in four.ends} == {
+        "left_toe", "right_toe",
+    }  # fmt: skip
+    want = np.repeat(MOTION.forward_kinematics()[0][:1], 5, axis=0)
+    got = want.copy()
+    got[:, JOINTS.index("left_toe"), 2] += 0.05
+    samples = [
+        pose_samples(got, MOTION.rotations[:5], want, MOTION.rotations[:5], 60.0, s.ends)["ee_cm"]
+        for s in (four, six)
+    ]
+    assert samples[0].max() == 0.0 and samples[1] == pytest.approx(1.0)
 
 
 def test_two_processes_give_the_figures_of_one(tmp_path):

@@ -24,7 +24,7 @@ from questsim.motion.kinematics import clip_from_qpos
 from questsim.motion.motion import Motion
 from questsim.motion.retarget import to_clip
 from questsim.motion.retarget_back import to_motion
-from questsim.pose_metrics import HEAD, pose_samples
+from questsim.pose_metrics import ENDS, HEAD, pose_samples
 from questsim.root_force import root_force
 
 SUFFIX = "+physics"
@@ -89,23 +89,24 @@ def clip_of(rollout: Rollout) -> Clip:
     return clip_from_qpos(rollout.name, qpos, rollout.height_m)
 
 
-def avatar_samples(clip: Clip, truth: Clip) -> dict[str, np.ndarray]:
+def avatar_samples(clip: Clip, truth: Clip, ends: Sequence[int] = ENDS) -> dict[str, np.ndarray]:
     """``pose_samples`` of two clips of the avatar on its 22 joints, and the force on the root.
 
     Args:
         clip: what is measured.
         truth: what the user did, at least as long.
+        ends: as ``pose_samples`` has them.
     """
     if len(clip) < _FEWEST:
         return {}
     got, want = to_motion(clip), to_motion(truth)
     there = want.forward_kinematics()[0][: len(clip)]
     rotations = want.rotations[: len(clip)]
-    samples = pose_samples(got.forward_kinematics()[0], got.rotations, there, rotations, FPS)
+    samples = pose_samples(got.forward_kinematics()[0], got.rotations, there, rotations, FPS, ends)
     return samples | {"root_force_bw": root_force(clip)}
 
 
-def rollout_samples(rollout: Rollout) -> dict[str, np.ndarray]:
+def rollout_samples(rollout: Rollout, ends: Sequence[int] = ENDS) -> dict[str, np.ndarray]:
     """``avatar_samples`` of a rollout until it was lost, and whether it never was, in percent."""
     success = {"success_percent": np.array([100.0 * rollout.completed])}
-    return avatar_samples(clip_of(rollout), rollout.reference) | success
+    return avatar_samples(clip_of(rollout), rollout.reference, ends) | success
