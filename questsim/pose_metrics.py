@@ -144,7 +144,8 @@ def pose_samples(
 
     ``mpjre``, ``mpjpe``, ``mpjve``, ``h_pe``, ``u_pe``, ``l_pe``, ``r_pe``: heads moved onto each
     other (HMD-Poser and LGSIK-Poser; Jiang et al., AvatarPoser, ECCV 2022). ``pos``, ``rot``,
-    ``vel``, ``ee``: roots moved onto each other (SparsePoser and DragPoser). ``world``: nothing moved.
+    ``vel``, ``ee``: roots moved onto each other (SparsePoser and DragPoser). ``world``: nothing
+    moved.
 
     Args:
         position, rotations: estimated.
