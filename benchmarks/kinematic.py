@@ -1,0 +1,102 @@
+"""What a streamed frame of each kinematic system costs on one thread, against the published time.
+
+    OMP_NUM_THREADS=1 python -m benchmarks.kinematic [--preset paper] [--json]
+
+Untrained networks: their sizes are those of the preset, and a frame costs the same whatever was
+learnt, but for DragPoser, whose solver stops early where nothing is gained. Systems take turns, so
+that a change of clock hits all alike. A figure is the median milliseconds of a frame over half the
+published or released time, which is what it shall be at most: below 1 is reached.
+"""
+
+from __future__ import annotations
+
+import statistics
+import sys
+
+import numpy as np
+import torch
+
+from agents.kinematic.data import MotionBank
+from agents.kinematic.interface import Body, KinematicSystem
+from agents.kinematic.registry import AGENTS
+from benchmarks.common import arguments, report, seconds
+from questsim.cli import guarded
+from questsim.errors import InputError
+from questsim.joint_sensors import SensorSequence, readings
+from questsim.motion.motion import Motion
+from questsim.motion.retarget_back import to_motion
+from questsim.motion.synthetic import synthetic_clips
+from questsim.sensors import SENSOR_SETS
+
+PUBLISHED_MS = {"sparseposer": 27.0, "dragposer": 30.0, "hmdposer": 17.0, "lgsik": 8.0}
+"""Of the released code on one thread of a processor, at the published sizes."""
+DRAG_ITERATIONS = (10, 1)
+SIX = ("pelvis_tracker", "headset", "left_controller", "right_controller",
+       "left_foot_tracker", "right_foot_tracker")  # fmt: skip
+
+
+def main() -> None:
+    """Measure and print."""
+    args = arguments(__doc__ or "", {"preset": "paper"}, frames=120, rounds=3)
+    if args.preset not in ("paper", "cpu", "smoke"):
+        raise InputError(f"there is no preset {args.preset!r}", "--preset", "paper, cpu or smoke")
+    torch.set_num_threads(1)
+    walk = next(clip for clip in synthetic_clips() if clip.kind == "walk")
+    report(
+        measure(args.preset, to_motion(walk).resampled(60.0), args.frames, args.rounds), args.json
+    )
+
+
+def measure(preset: str, motion: Motion, frames: int, rounds: int) -> dict[str, float]:
+    """Milliseconds a frame and their share of what is allowed, by system.
+
+    Args:
+        preset: of every system.
+        motion: at 60 Hz, what the devices report.
+        frames: of it in a round.
+        rounds: in each of which every system has its turn.
+    """
+    systems = {}
+    for agent in AGENTS:
+        for iterations in DRAG_ITERATIONS if agent == "dragposer" else (None,):
+            name = agent if iterations is None else f"{agent}, {iterations} iterations"
+            systems[name] = untrained(agent, preset, motion, iterations)
+    times: dict[str, list[float]] = {name: [] for name in systems}
+    for _ in range(rounds):
+        for name, (system, sequence) in systems.items():
+            times[name] += _streamed(system, sequence, Body.of(motion), frames)
+    figures = {}
+    for name, found in times.items():
+        ms = 1000.0 * statistics.median(found)
+        figures[f"{name} ms"] = ms
+        figures[f"{name} of what is allowed"] = ms / (0.5 * PUBLISHED_MS[name.split(",")[0]])
+    return figures
+
+
+def untrained(
+    agent: str, preset: str, motion: Motion, iterations: int | None
+) -> tuple[KinematicSystem, SensorSequence]:
+    """A system of a preset's size, its normalisers measured, and what its devices report."""
+    torch.manual_seed(0)
+    entry = AGENTS[agent]
+    config = entry.presets[preset]
+    module = entry.build(config.spec)
+    for stage, learning in config.stages.items():
+        entry.task(module, stage, learning, MotionBank([motion], learning.window), 2)
+    options = {} if iterations is None else {"iterations": iterations}
+    system = entry.system(module, agent, list(config.stages), options)
+    devices = SIX if agent == "dragposer" else SENSOR_SETS[entry.sensors[-1]]
+    return system, readings(motion, devices)
+
+
+def _streamed(
+    system: KinematicSystem, sequence: SensorSequence, body: Body, frames: int
+) -> list[float]:
+    """Seconds of each frame but the first few, in which a stream settles."""
+    system.reset(body, sequence.names)
+    told = [sequence[t] for t in np.arange(min(frames, len(sequence)))]
+    return [seconds(lambda frame=frame: system.step(frame)) for frame in told][5:]
+
+
+if __name__ == "__main__":
+    sys.exit(guarded(main))
