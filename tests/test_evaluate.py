@@ -18,6 +18,7 @@ from agents.rolling import evaluation_sim, follow
 from agents.spec import Layout, PolicySpec
 from envs.config import EnvConfig
 from envs.layout import observation_layout
+from envs.objects import objects_named
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
 from questsim.motion.library import save_library
@@ -130,6 +131,23 @@ def test_height_scales_avatar_and_reference(clips):
     expected = clips[0].link_position[0] * 1.4 / 1.75
     np.testing.assert_allclose(rollout.link_position[0], expected, atol=2e-3)
     np.testing.assert_allclose(rollout.reference.link_position[0], expected, atol=1e-5)
+
+
+def test_rollouts_keep_where_the_objects_were_and_what_they_look_like(clips):
+    config = replace(START, heights=(1.4, 1.4), objects=objects_named(("ball", "chair")))
+    rollout = roll_out(ZeroAgent(), clips[:1], config)[0]
+    ball, chair = rollout.things
+    assert [part.shape for part in ball.parts] == ["ball"] and len(chair.parts) == 6
+    assert ball.position.shape == (len(rollout), 3) and chair.quat.shape == (len(rollout), 4)
+    sim = evaluation_sim(clips[:1], config)
+    sim.reset()
+    np.testing.assert_allclose(ball.position[0], sim.objects.pose[0, 0, :3], atol=1e-6)
+    seat = chair.parts[0]
+    assert seat.place[2] + seat.size[2] == pytest.approx(0.45 * 1.4 / 1.75)
+    for _ in range(len(rollout) - 1):
+        sim.step(np.zeros((1, NUM_DOFS)))
+    np.testing.assert_allclose(ball.position[-1], sim.objects.pose[0, 0, :3], atol=1e-6)
+    assert roll_out(ZeroAgent(), clips[:1], START)[0].things == ()
 
 
 def test_motion_shorter_than_the_future_window_is_refused_by_name(clips):
