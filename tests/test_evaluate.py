@@ -19,7 +19,9 @@ from agents.spec import Layout, PolicySpec
 from envs.config import EnvConfig
 from envs.layout import observation_layout
 from envs.objects import objects_named
+from questsim.cli import run
 from questsim.errors import InputError
+from questsim.metrics import evaluate as metrics_of
 from questsim.motion.clip import Clip
 from questsim.motion.library import save_library
 from questsim.motion.retarget_back import to_motion
@@ -173,6 +175,28 @@ def test_command_prints_the_table_and_writes_the_report(library, tmp_path, capsy
     assert metrics["context"]["training"] == {"licence": "MIT"}
     assert len(metrics["context"]["data"]["sha256"]) == 64
     assert (out / "clips.csv").exists()
+
+
+@pytest.mark.parametrize(
+    "words", [["--height", "1.45"], ["--height", "1.9", "--avatar-height", "1.45"]]
+)
+def test_heights_of_the_command_line_are_those_of_avatar_and_clips(
+    words, clips, library, tmp_path, capsys
+):
+    command = ["--agent", "zero", "--motions", str(library), "--out", str(tmp_path), "--threads"]
+    assert run(evaluate, EvaluateArgs, [*command, "1", *words]) == 0
+    lines = (tmp_path / "clips.csv").read_text().splitlines()
+    column = lines[0].split(",").index("height_m")
+    assert [line.split(",")[column] for line in lines[1:]] == ["1.45"] * 3
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert metrics["context"]["config"]["heights"] == [1.45, 1.45]
+    own, small = (
+        metrics_of(roll_out(ZeroAgent(), clips, replace(START, heights=heights)))
+        for heights in (None, (1.45, 1.45))
+    )
+    error = metrics["all"]["mpjpe_cm"]
+    assert error == pytest.approx(small["all"]["mpjpe_cm"], rel=1e-3)
+    assert abs(error - own["all"]["mpjpe_cm"]) > 0.1
 
 
 def test_command_without_folder_writes_nothing(library, tmp_path, monkeypatch, capsys):
