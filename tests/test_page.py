@@ -22,6 +22,7 @@ from agents.agent import RandomAgent, ZeroAgent, load_agent
 from agents.live.commands import watch
 from agents.live.drivers import TorqueDriver
 from agents.live.session import DemoSession
+from benchmarks.page import viewers
 from questsim.errors import InputError
 from questsim.viewing.live import Settings
 from questsim.viewing.page import Page
@@ -238,6 +239,15 @@ def test_only_loopback_listens_without_a_warning(capsys):
     warn_if_open("0.0.0.0")
     error = capsys.readouterr().err
     assert error.startswith("warning:") and error.count("\n") == 1
+
+
+def test_the_pages_benchmark_counts_and_times_the_steps():
+    session = make_session()
+    figures = viewers(session, 1.0)
+    assert set(figures) == {"steps_a_second_with_0", "step_us_with_0"}
+    # At most as many as were made at all, and time for each of them.
+    assert 1.0 <= figures["steps_a_second_with_0"] <= session.snapshot().step
+    assert 10.0 < figures["step_us_with_0"] < 1e6
 
 
 def test_nothing_listens_beyond_loopback(live):
