@@ -73,6 +73,7 @@ benchmark: $(INSTALLED)  ## steps a second of the environments and of training
 	$(PY) -m benchmarks.train_profile
 	OMP_NUM_THREADS=1 $(PY) -m benchmarks.realtime
 	OMP_NUM_THREADS=1 $(PY) -m benchmarks.kinematic
+	OMP_NUM_THREADS=1 $(PY) -m benchmarks.page
 
 wheel: $(INSTALLED)  ## build the wheel into dist/ and try it outside the checkout
 	rm -rf build dist

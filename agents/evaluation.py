@@ -17,6 +17,7 @@ from agents.rolling import choose_clips, evaluation_sim, follow
 from agents.run_folder import data_record, versions
 from envs.config import EnvConfig, config_from
 from envs.core import BatchSim
+from envs.objects import objects_named, shapes_of
 from envs.terrain import height_field, terrain_named
 from questsim.errors import InputError, at_least
 from questsim.evaluation_report import check_writable, format_table, write_report
@@ -24,6 +25,7 @@ from questsim.metrics import Rollout
 from questsim.metrics import evaluate as score
 from questsim.motion.clip import FPS, Clip
 from questsim.skeleton import NUM_DOFS, NUM_LINKS
+from questsim.things import Thing
 
 BATCH_CLIPS = 320
 """At most this many clips are simulated at once: recordings of more would fill the memory."""
@@ -46,6 +48,8 @@ class EvaluateArgs:
     """Stature in metres of the avatar, if it is not its user's: the devices are scaled to it."""
     terrain: str | None = None
     """Ground to walk on, e.g. rough or rough:amplitude_m=0.08, instead of the environment's."""
+    objects: tuple[str, ...] = ()
+    """Things on the clips' paths: ball, box, hurdle, chair."""
     worlds: bool = False
     """Run the worlds table instead: rough ground, slopes, pushes, ...; writes worlds.json."""
     out: Path | None = None
@@ -112,6 +116,8 @@ def evaluate(args: EvaluateArgs) -> int:
     config = env_config(agent, args.env, height)
     if args.terrain is not None:
         config = replace(config, terrain=terrain_named(args.terrain, "--terrain"))
+    if args.objects:
+        config = replace(config, objects=objects_named(args.objects, "--objects"))
     clips = load_motions(args.motions, seed=args.seed)
     if args.worlds:
         return _worlds(args, agent, clips, config)
@@ -127,7 +133,7 @@ def _physics(args: EvaluateArgs) -> int:
     from agents.kinematic.physics import TRACKER, base_of, follow_poses
     from questsim.motion.spec import load_recordings
 
-    for option in ("env", "height", "avatar_height", "terrain", "worlds", "scorecard"):
+    for option in ("env", "height", "avatar_height", "terrain", "objects", "worlds", "scorecard"):
         if getattr(args, option):
             raise InputError(f"does not go with {args.agent}", f"--{option.replace('_', '-')}")
     scenario = suiting(args.agent, None)[0]
@@ -186,7 +192,7 @@ def _check_worlds(args: EvaluateArgs) -> None:
     """Refuse what the table sets itself, or does not make."""
     if args.out is None:
         raise InputError("the table needs a folder", "--worlds", "add --out DIR")
-    for option in ("env", "height", "avatar_height", "terrain", "video"):
+    for option in ("env", "height", "avatar_height", "terrain", "objects", "video"):
         if getattr(args, option):
             raise InputError("does not go with --worlds", f"--{option.replace('_', '-')}")
 
@@ -271,6 +277,7 @@ class Recorder:
         self.angles = np.zeros((frames, n, NUM_DOFS), np.float32)
         self.clearance = np.zeros((frames, n, 2), np.float32)
         self.force = np.zeros((frames, n, 2), np.float32)
+        self.things = np.zeros((frames, *sim.objects.pose.shape), np.float32)
         self.count = np.zeros(n, np.int64)
         self._at = 0
 
@@ -282,8 +289,22 @@ class Recorder:
         self.angles[at] = sim.joint_angles
         self.clearance[at] = sim.foot_clearance
         self.force[at] = sim.contact_force[..., 2]
+        self.things[at] = sim.objects.pose
         self.count += keep
         self._at += 1
+
+    def things_of(self, i: int) -> tuple[Thing, ...]:
+        """The objects beside avatar ``i`` in the frames that were kept."""
+        frames, objects = int(self.count[i]), self._sim.config.objects
+        height = float(self._sim.heights[i])
+        return tuple(
+            Thing(
+                shapes_of(thing, height),
+                self.things[:frames, i, number, :3],
+                self.things[:frames, i, number, 3:],
+            )
+            for number, thing in enumerate(objects)
+        )
 
 
 def _roll_out_batch(
@@ -317,6 +338,7 @@ def _roll_out_batch(
                 fell=bool(followed.fell[i]),
                 seconds_simulated=followed.frames[i] / FPS,
                 seconds_wall=followed.seconds * float(followed.frames[i]) / steps,
+                things=recorder.things_of(i),
             )
         )
     return rollouts

@@ -19,6 +19,8 @@ from questsim.skeleton import NUM_DOFS
 
 CLEARANCE_M = 0.55
 """No object is put nearer than this to the pelvis of an avatar that begins."""
+APART_M = 0.9
+"""Nor two objects nearer to each other: a hurdle reaches 62 cm to each side."""
 _FIRST_QPOS, _FIRST_QVEL = 7 + NUM_DOFS, 6 + NUM_DOFS
 
 
@@ -41,6 +43,8 @@ class Objects:
     ) -> None:
         n, count = len(qpos), len(objects)
         self._objects, self._chance = objects, chance
+        # Chairs first: where somebody sits nothing else can be.
+        self._order = sorted(range(count), key=lambda number: objects[number].kind != "chair")
         self._seats: np.ndarray | None = None
         self._qvel = qvel[:, _FIRST_QVEL:]
         self.pose = qpos[:, _FIRST_QPOS:].reshape(n, count, 7)
@@ -69,7 +73,9 @@ class Objects:
         last = reference.end[clips] - 1
         begin = moved(place, roots[rows].astype(float) * scale)[:, :2]
         self._qvel[ids] = 0.0
-        for number, thing in enumerate(self._objects):
+        taken: list[np.ndarray] = []
+        for number in self._order:
+            thing = self._objects[number]
             ahead = within(numbers[:, 2 * number], thing.ahead_s) * FPS
             there = np.minimum(rows + ahead.astype(np.int64), last)
             spot = moved(place, roots[there].astype(float) * scale)[:, :2]
@@ -78,9 +84,13 @@ class Objects:
             spot = spot + within(numbers[:, 2 * number + 1], thing.aside_m)[:, None] * np.stack(
                 [-travel[:, 1], travel[:, 0]], axis=-1
             )
-            spot = _kept_away(spot, begin, travel)
+            spot = _kept_away(spot, begin, travel, CLEARANCE_M)
+            for _ in taken:  # what keeps away from one may meet another
+                for other in taken:
+                    spot = _kept_away(spot, other, travel, APART_M)
             if thing.kind == "chair":
                 self._under_sitters(reference, clips, place, scale, spot, travel)
+            taken.append(spot)
             self.pose[ids, number, :2] = spot
             field = placement.field
             self.pose[ids, number, 2] = 0.0 if field is None else _on_top(field, spot)
@@ -144,14 +154,16 @@ def _seat_rows(reference: Reference) -> np.ndarray:
     return rows
 
 
-def _kept_away(spot: np.ndarray, begin: np.ndarray, travel: np.ndarray) -> np.ndarray:
-    """Spots ``(m, 2)``, moved along the travel until far enough from where avatars begin."""
-    offset = spot - begin
+def _kept_away(
+    spot: np.ndarray, other: np.ndarray, travel: np.ndarray, distance_m: float
+) -> np.ndarray:
+    """Spots ``(m, 2)``, moved along the travel until far enough from the others."""
+    offset = spot - other
     along = (offset * travel).sum(axis=-1)
     across = offset - along[:, None] * travel
-    needed = np.sqrt(np.maximum(CLEARANCE_M**2 - (across**2).sum(axis=-1), 0.0))
-    near = np.linalg.norm(offset, axis=-1) < CLEARANCE_M
-    return begin + across + np.where(near, needed, along)[:, None] * travel
+    needed = np.sqrt(np.maximum(distance_m**2 - (across**2).sum(axis=-1), 0.0))
+    near = np.linalg.norm(offset, axis=-1) < distance_m
+    return other + across + np.where(near, needed, along)[:, None] * travel
 
 
 def _on_top(field: HeightField, spot: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ import numpy as np
 from envs.pushes import check_range
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
+from questsim.things import Part as Shape
 
 _BOX, _SPHERE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
 Part = tuple[mujoco.mjtGeom, tuple[float, float, float], tuple[float, float, float]]
@@ -78,9 +79,48 @@ class WorldObject:
             raise InputError(f"mass_kg is {self.mass_kg:g}, not 0.01 to 200", "objects")
 
 
+def objects_named(names: Sequence[str], where: str = "objects") -> tuple[WorldObject, ...]:
+    """Objects of these kinds, with the options that they have by default.
+
+    Args:
+        names: out of ``OBJECTS``.
+        where: they come from, for the error.
+
+    Raises:
+        InputError: there is no such kind.
+    """
+    for name in names:
+        if name not in OBJECTS:
+            known = ", ".join(OBJECTS)
+            raise InputError(f"unknown object {name!r}", where, f"choose from {known}")
+    return tuple(WorldObject(name) for name in names)
+
+
 def _scaled(part: Part, scale: float) -> Part:
     kind, (a, b, c), (x, y, z) = part
     return kind, (scale * a, scale * b, scale * c), (scale * x, scale * y, scale * z)
+
+
+def _made_of(thing: WorldObject, height_m: float) -> tuple[float, tuple[Part, ...]]:
+    """An object's mass and parts beside an avatar of that stature."""
+    mass, parts = _SHAPES[thing.kind]
+    if thing.kind == "chair":
+        scale = height_m / DEFAULT_HEIGHT_M
+        mass, parts = mass * scale**3, tuple(_scaled(part, scale) for part in parts)
+    return mass if thing.mass_kg is None else thing.mass_kg, parts
+
+
+def shapes_of(thing: WorldObject, height_m: float = DEFAULT_HEIGHT_M) -> tuple[Shape, ...]:
+    """What an object looks like.
+
+    Args:
+        thing: the object.
+        height_m: the avatar's stature, which chairs are made for.
+    """
+    return tuple(
+        Shape("ball", size[:1], place) if kind == _SPHERE else Shape("box", size, place)
+        for kind, size, place in _made_of(thing, height_m)[1]
+    )
 
 
 def add_objects(
@@ -94,11 +134,7 @@ def add_objects(
         height_m: the avatar's stature, which chairs are made for.
     """
     for number, thing in enumerate(objects):
-        mass, parts = _SHAPES[thing.kind]
-        if thing.kind == "chair":
-            scale = height_m / DEFAULT_HEIGHT_M
-            mass, parts = mass * scale**3, tuple(_scaled(part, scale) for part in parts)
-        mass = mass if thing.mass_kg is None else thing.mass_kg
+        mass, parts = _made_of(thing, height_m)
         body = spec.worldbody.add_body(name=f"object{number}", pos=[3.0 + number, 0.0, 0.0])
         body.add_freejoint(name=f"object{number}")
         # Boxes are solid and alike: mass by volume. A ball is its only part.

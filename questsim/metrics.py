@@ -19,6 +19,7 @@ from questsim.errors import InputError
 from questsim.motion.clip import Clip
 from questsim.motion.kinematics import sole_points
 from questsim.skeleton import FEET, FOOT_LINKS, NUM_DOFS, NUM_LINKS
+from questsim.things import Thing
 
 SCHEMA, SCHEMA_VERSION = "questsim-metrics", 1
 
@@ -78,6 +79,7 @@ class Rollout:
         fell: whether the simulation was ended: lost by 0.5 m, or no longer finite.
         seconds_simulated: simulated time.
         seconds_wall: time it took; of a batch, this rollout's share. 0 if unknown.
+        things: the objects that were there, with ``F`` poses each.
 
     Raises:
         InputError: shapes do not agree, a number is not finite or a quaternion not of unit length.
@@ -97,6 +99,7 @@ class Rollout:
     fell: bool
     seconds_simulated: float = 0.0
     seconds_wall: float = 0.0
+    things: tuple[Thing, ...] = ()
 
     def __post_init__(self) -> None:
         frames = len(self.link_position)
@@ -118,11 +121,20 @@ class Rollout:
         for field in ("link_position", "link_quat"):
             array = getattr(self.reference, field)[:frames]
             _check(array, (frames, *shapes[field]), f"reference {field}", self.name)
+        for i, thing in enumerate(self.things):
+            _check(thing.position, (frames, 3), f"thing {i} position", self.name)
+            _check(thing.quat, (frames, 4), f"thing {i} quat", self.name)
         if not (np.isfinite(self.fps) and self.fps > 0):
             raise InputError(f"frame rate is {self.fps}, not above zero", self.name)
 
     def __len__(self) -> int:
         return len(self.link_position)
+
+    @property
+    def qpos(self) -> np.ndarray:
+        """The avatar's poses ``(F, 40)``: the pelvis is the root, then the joint angles."""
+        root = [self.link_position[:, 0], self.link_quat[:, 0]]
+        return np.concatenate([*root, self.joint_angles], axis=-1)
 
     @cached_property
     def link_error_m(self) -> np.ndarray:

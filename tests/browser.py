@@ -51,6 +51,25 @@ def browser_page(address: str, width: int = 800, height: int = 600) -> Iterator[
         address: where to go.
         width, height: of the window in pixels.
     """
+    with new_browser(width, height) as browser:
+        page = browser.pages[0]
+        visit(page, address)
+        yield page
+
+
+def visit(page: Any, address: str) -> None:
+    """Go to an address and wait until something is drawn there."""
+    page.goto(address)
+    page.wait_for_function(_DRAWS)  # curves have canvases as well, empty ones at first
+
+
+@contextmanager
+def new_browser(width: int = 800, height: int = 600) -> Iterator[Any]:
+    """A browser that has never been used, a Playwright context with one empty page.
+
+    Args:
+        width, height: of the windows in pixels.
+    """
     from playwright.sync_api import sync_playwright
 
     with tempfile.TemporaryDirectory() as profile, sync_playwright() as playwright:
@@ -63,9 +82,6 @@ def browser_page(address: str, width: int = 800, height: int = 600) -> Iterator[
         )
         try:
             browser.set_default_timeout(TIMEOUT_MS)
-            page = browser.pages[0]
-            page.goto(address)
-            page.wait_for_function(_DRAWS)  # curves have canvases as well, empty ones at first
-            yield page
+            yield browser
         finally:
             browser.close()

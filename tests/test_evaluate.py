@@ -18,7 +18,10 @@ from agents.rolling import evaluation_sim, follow
 from agents.spec import Layout, PolicySpec
 from envs.config import EnvConfig
 from envs.layout import observation_layout
+from envs.objects import objects_named
+from questsim.cli import run
 from questsim.errors import InputError
+from questsim.metrics import evaluate as metrics_of
 from questsim.motion.clip import Clip
 from questsim.motion.library import save_library
 from questsim.motion.retarget_back import to_motion
@@ -132,6 +135,23 @@ def test_height_scales_avatar_and_reference(clips):
     np.testing.assert_allclose(rollout.reference.link_position[0], expected, atol=1e-5)
 
 
+def test_rollouts_keep_where_the_objects_were_and_what_they_look_like(clips):
+    config = replace(START, heights=(1.4, 1.4), objects=objects_named(("ball", "chair")))
+    rollout = roll_out(ZeroAgent(), clips[:1], config)[0]
+    ball, chair = rollout.things
+    assert [part.shape for part in ball.parts] == ["ball"] and len(chair.parts) == 6
+    assert ball.position.shape == (len(rollout), 3) and chair.quat.shape == (len(rollout), 4)
+    sim = evaluation_sim(clips[:1], config)
+    sim.reset()
+    np.testing.assert_allclose(ball.position[0], sim.objects.pose[0, 0, :3], atol=1e-6)
+    seat = chair.parts[0]
+    assert seat.place[2] + seat.size[2] == pytest.approx(0.45 * 1.4 / 1.75)
+    for _ in range(len(rollout) - 1):
+        sim.step(np.zeros((1, NUM_DOFS)))
+    np.testing.assert_allclose(ball.position[-1], sim.objects.pose[0, 0, :3], atol=1e-6)
+    assert roll_out(ZeroAgent(), clips[:1], START)[0].things == ()
+
+
 def test_motion_shorter_than_the_future_window_is_refused_by_name(clips):
     with pytest.raises(InputError, match="tiny"):
         roll_out(ZeroAgent(), [*clips, swaying_clip("tiny", frames=4)], START)
@@ -155,6 +175,28 @@ def test_command_prints_the_table_and_writes_the_report(library, tmp_path, capsy
     assert metrics["context"]["training"] == {"licence": "MIT"}
     assert len(metrics["context"]["data"]["sha256"]) == 64
     assert (out / "clips.csv").exists()
+
+
+@pytest.mark.parametrize(
+    "words", [["--height", "1.45"], ["--height", "1.9", "--avatar-height", "1.45"]]
+)
+def test_heights_of_the_command_line_are_those_of_avatar_and_clips(
+    words, clips, library, tmp_path, capsys
+):
+    command = ["--agent", "zero", "--motions", str(library), "--out", str(tmp_path), "--threads"]
+    assert run(evaluate, EvaluateArgs, [*command, "1", *words]) == 0
+    lines = (tmp_path / "clips.csv").read_text().splitlines()
+    column = lines[0].split(",").index("height_m")
+    assert [line.split(",")[column] for line in lines[1:]] == ["1.45"] * 3
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert metrics["context"]["config"]["heights"] == [1.45, 1.45]
+    own, small = (
+        metrics_of(roll_out(ZeroAgent(), clips, replace(START, heights=heights)))
+        for heights in (None, (1.45, 1.45))
+    )
+    error = metrics["all"]["mpjpe_cm"]
+    assert error == pytest.approx(small["all"]["mpjpe_cm"], rel=1e-3)
+    assert abs(error - own["all"]["mpjpe_cm"]) > 0.1
 
 
 def test_command_without_folder_writes_nothing(library, tmp_path, monkeypatch, capsys):

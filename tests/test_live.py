@@ -13,8 +13,8 @@ from helpers import swaying_clip
 from PIL import Image
 
 from agents.agent import Needs, ZeroAgent, load_agent, new_policy
-from agents.checkpoint import CARD_FILE, WEIGHTS_FILE, save_policy
-from agents.live.commands import DemoArgs, PlayArgs, demo, play
+from agents.checkpoint import CARD_FILE, SHIPPED, WEIGHTS_FILE, save_policy
+from agents.live.commands import DemoArgs, PlayArgs, _clips, demo, drivers_beside, play
 from agents.live.drivers import TorqueDriver, usable_sensors
 from agents.live.recording import record
 from agents.live.runner import Runner
@@ -373,9 +373,26 @@ def test_a_newer_checkpoint_takes_over_and_a_broken_one_does_not(tmp_path):
     assert advance(live, 1).step == 6
 
 
+def test_a_run_of_a_shipped_policys_name_is_watched_itself():
+    driver = TorqueDriver(ZeroAgent())
+    drivers = drivers_beside("questsim", driver)
+    assert drivers["questsim"]() is driver and next(iter(drivers)) == "questsim"
+    assert {"tracker", "zero", "random"} < set(drivers)
+
+
+def test_a_long_library_is_shortened_aloud(monkeypatch, capsys):
+    clips = [swaying_clip(f"c{i}", frames=8, kind=f"kind{i % 5}") for i in range(90)]
+    monkeypatch.setattr("questsim.motion.spec.load_motions", lambda motions, seed: clips)
+    listed = _clips("many", "c7")
+    assert 80 <= len(listed) <= 81 and "c7" in {clip.name for clip in listed}
+    assert capsys.readouterr().err == "80 of 90 clips are listed; --clip NAME adds one\n"
+
+
 def test_play_says_that_a_run_has_no_policy_yet(tmp_path):
     with pytest.raises(InputError, match="no policy yet"):
         play(PlayArgs(tmp_path))
+    with pytest.raises(InputError, match="kinematic system"):
+        play(PlayArgs(SHIPPED / "hmdposer"))
 
 
 def test_a_video_of_another_kind_is_refused():

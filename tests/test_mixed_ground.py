@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,9 @@ from helpers import swaying_clip
 from test_terrain import gliding_clip
 
 from agents import training
+from agents.agent import PolicyAgent, load_agent
 from agents.checkpoint import load_resume
+from agents.evaluation import EvaluateArgs, evaluate
 from agents.provenance import commands, options_of, stages_behind
 from agents.shipping import ShipArgs, ship
 from agents.training import TrainArgs, train
@@ -21,6 +24,7 @@ from envs import BatchSim, EnvConfig, Pushes, Randomisation, Terrain
 from envs.placement import Placement
 from envs.reference import Reference
 from envs.terrain import TERRAINS, height_field, terrain_named, tile_centre
+from questsim.cli import run
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
 
@@ -134,6 +138,7 @@ def tiny(out: Path, **options) -> TrainArgs:
     )
 
 
+FEW = ["--steps", "128", "--envs", "8", "--threads", "1"]
 WILD = {
     "env": "mixed:flat_share=0.5",
     "pushes": (0.0, 80.0),
@@ -170,6 +175,27 @@ def test_teacher_and_student_learn_on_mixed_ground_under_pushes(
     assert train(tiny(out, resume=True, steps=256, **WILD)) == 0
     with pytest.raises(InputError, match="--pushes was"):
         train(tiny(out, resume=True, **(WILD | {"pushes": None})))
+
+
+@pytest.mark.parametrize("env", ["course", "mixed"])
+def test_a_policy_learnt_on_tiles_is_saved_and_evaluated_there(
+    env, clips, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setattr("questsim.motion.spec.load_motions", lambda motions, seed: clips)
+    out = tmp_path / "run"
+    assert run(train, TrainArgs, [*f"--preset smoke --env {env} --out {out}".split(), *FEW]) == 0
+    assert yaml.safe_load((out / "run.yaml").read_text())["args"]["env"] == env
+    for stage in ("teacher", "student"):
+        last = load_agent(str(out / stage / "last"))
+        assert isinstance(last, PolicyAgent) and last.card["training"]["steps"] >= 128
+    world = f"--env QuestSim{env.title()}-v0 --threads 1"
+    scores = tmp_path / "scores"
+    command = f"--agent {out} --motions sways {world} --out {scores}".split()
+    assert run(evaluate, EvaluateArgs, command) == 0
+    metrics = json.loads((scores / "metrics.json").read_text())
+    assert metrics["all"]["clips"] == 3
+    assert metrics["context"]["config"]["terrain"]["tiles"] == list(TERRAINS[env].tiles)
+    assert metrics["context"]["training"]["stage"] == "student"
 
 
 def test_a_run_from_before_there_was_an_option_goes_on(clips, tmp_path) -> None:

@@ -22,6 +22,7 @@ from agents.agent import RandomAgent, ZeroAgent, load_agent
 from agents.live.commands import watch
 from agents.live.drivers import TorqueDriver
 from agents.live.session import DemoSession
+from benchmarks.page import viewers
 from questsim.errors import InputError
 from questsim.viewing.live import Settings
 from questsim.viewing.page import Page
@@ -94,7 +95,7 @@ def wait_in(tab) -> Callable[[float], object]:
 def field_showing(tab, value: str):
     """The input field that shows a value, or None."""
     fields = [f for f in tab.locator("input").all() if f.input_value() == value]
-    return fields[0] if fields else None
+    return next((f for f in fields if f.is_visible()), None)
 
 
 # --- in the browser -------------------------------------------------------------------------
@@ -158,6 +159,25 @@ def test_a_clip_and_an_agent_are_chosen(live, tab):
     assert eventually(lambda: tab.get_by_text("second", exact=True).count() > 0, wait)
     session.change(agent="demo")
     assert eventually(lambda: field_showing(tab, "demo") is not None, wait)
+
+
+@needs_browser
+def test_a_height_is_typed_and_one_that_nobody_has_is_not_taken(live, tab):
+    session, _ = live
+    wait = wait_in(tab)
+    session.pause(False)
+    field = field_showing(tab, f"{session.settings.height_m:g}")
+    assert field
+    field.fill("1.6")
+    field.press("Enter")
+    assert eventually(lambda: session.settings.height_m == 1.6, wait)
+    field.fill("9")
+    field.press("Enter")
+    step = session.snapshot().step
+    assert eventually(lambda: session.snapshot().step > step + 20, wait)
+    assert 1.2 <= session.settings.height_m <= 2.2
+    assert eventually(lambda: float(field.input_value()) == session.settings.height_m, wait)
+    session.change(height_m=1.75)
 
 
 @needs_browser
@@ -232,12 +252,22 @@ def test_an_address_that_is_none_is_refused(host, port, option):
 
 
 def test_only_loopback_listens_without_a_warning(capsys):
-    assert is_loopback(LOOPBACK) and is_loopback("localhost")
+    assert is_loopback(LOOPBACK) and is_loopback("localhost") and is_loopback("::1")
+    assert not is_loopback("::") and not is_loopback("no.such.host.invalid")
     warn_if_open(LOOPBACK)
     assert not capsys.readouterr().err
     warn_if_open("0.0.0.0")
     error = capsys.readouterr().err
     assert error.startswith("warning:") and error.count("\n") == 1
+
+
+def test_the_pages_benchmark_counts_and_times_the_steps():
+    session = make_session()
+    figures = viewers(session, 1.0)
+    assert set(figures) == {"steps_a_second_with_0", "step_us_with_0"}
+    # At most as many as were made at all, and time for each of them.
+    assert 1.0 <= figures["steps_a_second_with_0"] <= session.snapshot().step
+    assert 10.0 < figures["step_us_with_0"] < 1e6
 
 
 def test_nothing_listens_beyond_loopback(live):

@@ -11,7 +11,7 @@ from helpers import swaying_clip
 from test_terrain import HILLS, gliding_clip
 
 from envs import BatchSim, EnvConfig, Pushes, QuestVecEnv, Randomisation, WorldObject
-from envs.object_places import CLEARANCE_M
+from envs.object_places import APART_M, CLEARANCE_M
 from envs.objects import OBJECTS
 from questsim import rotations as rot
 from questsim.errors import InputError
@@ -94,6 +94,19 @@ def test_an_object_rests_on_the_ground_out_of_reach(kind: str) -> None:
     for _ in range(8):
         sim.step(np.zeros((6, 33)))
     assert np.abs(sim.objects.pose[..., :3] - start[..., :3]).max() < 0.02
+
+
+def test_objects_keep_away_from_each_other_where_nobody_walks() -> None:
+    clips = [swaying_clip("standing", frames=90)]
+    things = tuple(WorldObject(kind) for kind in OBJECTS)
+    sim = BatchSim(clips, EnvConfig(objects=things, max_error_m=99.0), num_envs=4)
+    sim.reset()
+    spots = sim.objects.pose[..., :2].copy()
+    between = np.linalg.norm(spots[:, :, None] - spots[:, None], axis=-1)
+    assert between[:, ~np.eye(len(things), dtype=bool)].min() >= APART_M - 1e-6
+    for _ in range(8):
+        sim.step(np.zeros((4, 33)))
+    assert np.abs(sim.objects.pose[..., :2] - spots).max() < 0.02
 
 
 def test_the_avatar_is_the_same_beside_objects() -> None:

@@ -11,8 +11,10 @@ from PIL import Image
 from rollouts import moving_clip, rollout, shifted, still_clip
 
 from questsim.errors import InputError
+from questsim.heightfield import HeightField
 from questsim.motion import spec
 from questsim.skeleton import LINKS
+from questsim.things import Part, Thing
 from questsim.viewing import contact_sheet as sheets
 from questsim.viewing import gl
 from questsim.viewing.camera import Camera, follow, three_quarter_azimuth
@@ -20,11 +22,12 @@ from questsim.viewing.captions import caption
 from questsim.viewing.commands import ShowArgs, file_name, show_clip
 from questsim.viewing.costume import convex_hull
 from questsim.viewing.films import (
+    _picture,
+    _shot,
     clip_cameras,
     clip_frames,
     one_of_each_kind,
     rollout_frames,
-    rollout_qpos,
     rollout_video,
 )
 from questsim.viewing.outline import outline_points, stick_picture
@@ -210,6 +213,51 @@ def test_avatar_and_its_user_stand_side_by_side():
 
 
 @needs_gl
+def test_objects_are_drawn_where_they_were():
+    clip = still_clip(2)
+    ball, box = (Part("ball", (0.11,), (0.0, 0.0, 0.11)), Part("box", (0.1,) * 3, (0.0,) * 3))
+    there = np.array([[0.7, -0.2, 0.0], [0.7, 0.6, 0.5]])
+    things = tuple(
+        Thing((part,), at + np.zeros((2, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)))
+        for part, at in zip((ball, box), there, strict=True)
+    )
+    (shot,) = (_shot(rollout(clip, things=things), 320 / 240, "ghost", None),)
+    figures = [Figure(devices=False), Figure(devices=False)]
+    with SceneRenderer(figures, 320, 240) as renderer:
+        picture = _picture(renderer, shot, 0, "").astype(int)
+    yellow = (picture[..., 0] > picture[..., 2] + 90) & (picture[..., 1] > picture[..., 2] + 50)
+    middles = there + np.array([[0.0, 0.0, 0.11], [0.0, 0.0, 0.0]])
+    for x, y in shot.cameras[0].project(middles, 320, 240).round().astype(int):
+        assert yellow[y - 3 : y + 4, x - 3 : x + 4].all()
+    assert 100 < yellow.sum() < 3000
+
+
+def test_the_camera_has_room_for_objects_that_are_near():
+    clip = still_clip(2)
+    turn = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+
+    def seen(metres: float) -> np.ndarray:
+        place = np.tile([metres, 0.0, 0.0], (2, 1))
+        thing = Thing((Part("box", (0.1, 0.1, 0.1), (0.0, 0.0, 0.1)),), place, turn)
+        np.testing.assert_allclose(thing.corners().max(axis=1)[0], [metres + 0.1, 0.1, 0.2])
+        camera = _shot(rollout(clip, things=(thing,)), 1.0, "beside", None).cameras[0]
+        return camera.project(thing.corners()[0], 100, 100)
+
+    assert ((seen(0.9) > 0.0) & (seen(0.9) < 100.0)).all()
+    assert (seen(3.0)[:, 1] > 100.0).any()  # nobody wants to see everything from afar
+
+
+def test_the_person_beside_stands_on_the_ground_that_is_there():
+    slope = HeightField.of(np.tile(np.linspace(-2.0, 2.0, 41), (41, 1)), 0.5)
+    clip = still_clip(2)
+    flat, sloping = (_shot(rollout(clip), 1.0, "beside", g) for g in (None, slope))
+    np.testing.assert_allclose(sloping.person[:, :2], flat.person[:, :2])
+    rise = 0.2 * sloping.aside[:, 0]
+    np.testing.assert_allclose(sloping.person[:, 2] - flat.person[:, 2], rise, atol=1e-6)
+    assert np.abs(rise).min() > 0.05
+
+
+@needs_gl
 def test_ghost_is_drawn_over_the_avatar_and_shows_the_difference():
     clip = still_clip(3)
     moved = rollout(clip, link_position=shifted(clip, (0.0, 0.0, 0.4)))
@@ -248,10 +296,10 @@ def test_rollout_video_can_be_read_back(tmp_path):
     assert os.listdir(path.parent) == ["r.mp4"]
 
 
-def test_rollout_qpos_gives_back_the_clip():
+def test_qpos_of_a_rollout_gives_back_the_clip():
     clip = moving_clip(5)
     assert LINKS[0] == "pelvis"
-    qpos = rollout_qpos(rollout(clip))
+    qpos = rollout(clip).qpos
     assert qpos[:, :3] == pytest.approx(clip.qpos[:, :3], abs=1e-6)
     assert qpos[:, 7:] == pytest.approx(clip.qpos[:, 7:])
 

@@ -138,6 +138,7 @@ def test_the_command_writes_the_table(library, tmp_path, capsys, monkeypatch) ->
         ({"out": None}, "needs a folder"),
         ({"height": 1.8}, "--height: does not go"),
         ({"terrain": "rough"}, "--terrain: does not go"),
+        ({"objects": ("ball",)}, "--objects: does not go"),
         ({"video": True}, "--video: does not go"),
     ],
 )
@@ -167,6 +168,7 @@ def test_rollouts_on_a_terrain_are_scored_against_the_lifted_clip() -> None:
     ("words", "wanted"),
     [
         (("evaluate", "--agent", "zero", "--terrain", "lava"), "unknown terrain 'lava'"),
+        (("evaluate", "--agent", "zero", "--objects", "ball", "lava"), "unknown object 'lava'"),
         (("evaluate", "--agent", "zero", "--avatar-height", "3"), "1.2-2.2 m"),
         (("train", "--out", "run", "--env", "rough:amplitude_m=9"), "amplitude_m is 9"),
         (("envs", "--name", "QuestSimMoon-v0"), "there is no 'QuestSimMoon-v0'"),

@@ -81,14 +81,6 @@ def follow_poses(
     ]
 
 
-def clip_of(rollout: Rollout) -> Clip:
-    """What the avatar did, until it was lost."""
-    frames = rollout.scored_frames
-    root = [rollout.link_position[:frames, 0], rollout.link_quat[:frames, 0]]
-    qpos = np.concatenate([*root, rollout.joint_angles[:frames]], axis=-1)
-    return clip_from_qpos(rollout.name, qpos, rollout.height_m)
-
-
 def avatar_samples(clip: Clip, truth: Clip, ends: Sequence[int] = ENDS) -> dict[str, np.ndarray]:
     """``pose_samples`` of two clips of the avatar on its 22 joints, and the force on the root.
 
@@ -109,4 +101,6 @@ def avatar_samples(clip: Clip, truth: Clip, ends: Sequence[int] = ENDS) -> dict[
 def rollout_samples(rollout: Rollout, ends: Sequence[int] = ENDS) -> dict[str, np.ndarray]:
     """``avatar_samples`` of a rollout until it was lost, and whether it never was, in percent."""
     success = {"success_percent": np.array([100.0 * rollout.completed])}
-    return avatar_samples(clip_of(rollout), rollout.reference, ends) | success
+    qpos = rollout.qpos[: rollout.scored_frames]
+    performed = clip_from_qpos(rollout.name, qpos, rollout.height_m)
+    return avatar_samples(performed, rollout.reference, ends) | success

@@ -119,6 +119,10 @@ def play(args: PlayArgs) -> None:
         raise InputError("there is no such folder", args.run, "name the --out of a training")
     checkpoint = newest_checkpoint(args.run)
     if checkpoint is None:
+        from agents.kinematic.store import CARD_FILE as SYSTEM_CARD
+
+        if any(args.run.rglob(SYSTEM_CARD)):
+            raise InputError("is of a kinematic system", args.run, "the page shows policies only")
         raise InputError("has no policy yet", args.run, "wait for its first checkpoint")
     name = args.run.resolve().name
     driver, note = load_checkpoint(args.run, checkpoint)
@@ -126,7 +130,7 @@ def play(args: PlayArgs) -> None:
         _announce(page)
         clips = _clips(args.motions or _trained_on(driver), args.clip)
         settings = _settings(args, clips, name)
-        session = DemoSession(clips, {name: lambda: driver, **available_drivers()}, settings)
+        session = DemoSession(clips, drivers_beside(name, driver), settings)
         session.note = note
         with Watcher(args.run, name, session, checkpoint):
             watch(page, session)
@@ -185,6 +189,7 @@ def _clips(motions: str, wanted: str | None, seed: int = 0) -> Sequence[Clip]:
     if len(clips) <= MOST_CLIPS:
         return clips
     chosen = choose_clips(clips, MOST_CLIPS)
+    print(f"{MOST_CLIPS} of {len(clips)} clips are listed; --clip NAME adds one", file=sys.stderr)
     named = [clip for clip in clips if clip.name == wanted and clip not in chosen]
     return named + chosen
 
@@ -194,6 +199,12 @@ def available_drivers(first: str | None = None) -> Mapping[str, Callable[[], Dri
     shipped = sorted(path.parent.name for path in SHIPPED.glob(f"*/{CARD_FILE}"))
     names: list[str] = [*([first] if first else []), *shipped, *BASELINES]
     return {name: partial(_torque_driver, name) for name in names}
+
+
+def drivers_beside(name: str, driver: Driver) -> Mapping[str, Callable[[], Driver]]:
+    """One driver by its name, and after it what is available under other names."""
+    others = {other: make for other, make in available_drivers().items() if other != name}
+    return {name: lambda: driver, **others}
 
 
 def _torque_driver(name: str) -> Driver:

@@ -15,11 +15,10 @@ from agents.live.surroundings import (
     config_of,
     in_own_size,
     needed_thing,
-    object_parts,
     object_pose,
 )
 from envs.core import BatchSim
-from envs.objects import OBJECTS
+from envs.objects import OBJECTS, shapes_of
 from envs.terrain import COURSE, TERRAINS
 from questsim import rotations as rot
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
@@ -334,7 +333,7 @@ class DemoSession:
             self._stage.number + 1,
             float(settings.avatar_m),
             ground,
-            object_parts(sim) if settings.thing != NOTHING else (),
+            shapes_of(config.objects[0], float(sim.heights[0])) if config.objects else (),
             float(settings.height_m),
         )
         return sim

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 
 from agents.live.drivers import Driver, config_for
@@ -12,16 +11,12 @@ from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.objects import WorldObject
 from envs.terrain import RANGES, TERRAINS, Terrain
-from envs.world import build_world
 from questsim.heightfield import HeightField
 from questsim.motion.clip import Clip
 from questsim.motion.synthetic import SEATED
-from questsim.skeleton import NUM_DOFS
-from questsim.viewing.live import Part, Settings
+from questsim.viewing.live import Settings
 
 NOTHING = "none"
-_AVATAR = 7 + NUM_DOFS
-_OBJECT = "object0"
 
 
 def config_of(driver: Driver, settings: Settings) -> EnvConfig:
@@ -79,26 +74,7 @@ def in_own_size(
     return position, qpos
 
 
-def object_parts(sim: BatchSim) -> tuple[Part, ...]:
-    """The shapes that the session's object is made of."""
-    config = sim.config
-    model = build_world(
-        float(sim.heights[0]), config.body_preset, config.self_collision, config.terrain,
-        config.objects,
-    ).model  # fmt: skip
-    body = model.body(_OBJECT)
-    first, count = int(body.geomadr[0]), int(body.geomnum[0])
-    return tuple(
-        Part(
-            "ball" if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE else "box",
-            tuple(model.geom_size[geom]),
-            tuple(model.geom_pos[geom]),
-        )
-        for geom in range(first, first + count)
-    )
-
-
 def object_pose(sim: BatchSim) -> tuple[np.ndarray, np.ndarray]:
     """Where the session's object is, and its orientation."""
-    pose = sim.qpos[0, _AVATAR : _AVATAR + 7].copy()
+    pose = sim.objects.pose[0, 0].copy()
     return pose[:3], pose[3:]

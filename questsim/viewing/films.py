@@ -19,7 +19,7 @@ from questsim.viewing.camera import Camera, follow, three_quarter_azimuth
 from questsim.viewing.captions import caption
 from questsim.viewing.costume import REFERENCE
 from questsim.viewing.outline import outline_points
-from questsim.viewing.render import Figure, SceneRenderer
+from questsim.viewing.render import Figure, SceneRenderer, thing_markers
 from questsim.viewing.video import write_video
 
 Layout = Literal["beside", "ghost"]
@@ -69,7 +69,7 @@ class _Shot:
     rollout: Rollout
     avatar: np.ndarray  # (F, 40)
     person: np.ndarray  # (F, 40), moved aside
-    aside: np.ndarray  # (3,) metres
+    aside: np.ndarray  # (F, 3) metres
     error_cm: np.ndarray  # (F,)
     cameras: list[Camera]
 
@@ -77,29 +77,33 @@ class _Shot:
         return len(self.avatar)
 
 
-def _shot(rollout: Rollout, aspect: float, layout: Layout) -> _Shot:
-    clip, frames = rollout.reference, len(rollout.link_position)
+def _shot(rollout: Rollout, aspect: float, layout: Layout, ground: HeightField | None) -> _Shot:
+    clip, frames = rollout.reference, len(rollout)
     azimuth = three_quarter_azimuth(clip.qpos[:frames, 3:7])
-    aside = np.zeros(3)
+    root = clip.qpos[:frames, :3]
+    aside = np.zeros_like(root)
     if layout == "beside":
         right = Camera(np.zeros(3), 1.0, azimuth).axes()[0]
-        aside = right * _BESIDE_M * rollout.height_m / DEFAULT_HEIGHT_M
+        aside += right * _BESIDE_M * rollout.height_m / DEFAULT_HEIGHT_M
+        if ground is not None:  # it stands on what is there
+            aside[:, 2] += ground.ground_at(root + aside) - ground.ground_at(root)
     position, quat = clip.link_position[:frames], clip.link_quat[:frames]
     points = [
         outline_points(rollout.link_position, rollout.link_quat, rollout.height_m),
-        outline_points(position + aside, quat, rollout.height_m),
+        outline_points(position + aside[:, None], quat, rollout.height_m),
+        *(thing.corners_near(rollout.link_position[:, 0]) for thing in rollout.things),
     ]
     person = clip.qpos[:frames].copy()
     person[:, :3] += aside
     return _Shot(
         rollout=rollout,
-        avatar=rollout_qpos(rollout),
+        avatar=rollout.qpos,
         person=person,
         aside=aside,
         error_cm=mpjpe_cm(rollout.link_position, position),
         cameras=follow(
             np.concatenate(points, axis=1),
-            clip.qpos[:frames, :3] + aside / 2.0,
+            root + aside / 2.0,
             azimuth,
             aspect,
             smoothing_frames=0.5 * rollout.fps,
@@ -107,20 +111,15 @@ def _shot(rollout: Rollout, aspect: float, layout: Layout) -> _Shot:
     )
 
 
-def rollout_qpos(rollout: Rollout) -> np.ndarray:
-    """The avatar's ``qpos`` ``(F, 40)``: the pelvis is the root, then the joint angles."""
-    return np.concatenate(
-        [rollout.link_position[:, 0], rollout.link_quat[:, 0], rollout.joint_angles], axis=-1
-    )
-
-
 def _picture(renderer: SceneRenderer, shot: _Shot, frame: int, legend: str) -> np.ndarray:
-    """One tile: the avatar with the user's devices as markers, the person, the captions."""
-    markers = renderer.device_markers(shot.person[frame], 1, -shot.aside)
+    """One tile: the avatar with the user's devices as markers, the person, things, captions."""
+    rollout = shot.rollout
+    markers = renderer.device_markers(shot.person[frame], 1, -shot.aside[frame])
+    for thing in rollout.things:
+        markers += thing_markers(thing.parts, thing.position[frame], thing.quat[frame])
     picture = renderer.render(
         [shot.avatar[frame], shot.person[frame]], shot.cameras[frame], markers
     )
-    rollout = shot.rollout
     fell = rollout.fell and frame == len(shot) - 1
     state = f"fell after {frame / rollout.fps:.1f} s" if fell else f"{frame / rollout.fps:.1f} s"
     return caption(
@@ -155,7 +154,7 @@ def rollout_frames(
     columns = min(columns, len(rollouts))
     rows = -(-len(rollouts) // columns)
     tile_width, tile_height = width // columns, height // rows
-    shots = [_shot(rollout, tile_width / tile_height, layout) for rollout in rollouts]
+    shots = [_shot(rollout, tile_width / tile_height, layout, ground) for rollout in rollouts]
     heights = sorted({rollout.height_m for rollout in rollouts})
     person = REFERENCE if layout == "beside" else REFERENCE.faded(_GHOST_OPACITY)
     renderers: dict[float, SceneRenderer] = {}

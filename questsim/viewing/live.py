@@ -15,6 +15,7 @@ from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.heightfield import HeightField
 from questsim.skeleton import FOOT_LINKS, LINKS
+from questsim.things import Part
 
 NEWTONS_PER_METRE = 1500.0
 """Of force arrows: a foot that carries 70 kg has one of 46 cm."""
@@ -28,21 +29,6 @@ SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0)
 
 ROUGHNESS = (0.0, 2.0)
 """Least and greatest multiple of a terrain's own relief."""
-
-
-@dataclass(frozen=True)
-class Part:
-    """A shape of which an object is made.
-
-    Attributes:
-        shape: ``"ball"`` or ``"box"``.
-        size: radius, or half of each edge, in metres.
-        place: of its middle in the object's frame, metres.
-    """
-
-    shape: str
-    size: tuple[float, ...]
-    place: tuple[float, ...]
 
 
 @dataclass(frozen=True)

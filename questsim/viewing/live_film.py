@@ -10,12 +10,13 @@ import numpy as np
 
 from questsim import rotations as rot
 from questsim.motion.clip import FPS
+from questsim.things import Thing
 from questsim.viewing.camera import follow, three_quarter_azimuth
 from questsim.viewing.captions import caption
 from questsim.viewing.costume import REFERENCE
 from questsim.viewing.live import Settings, Snapshot, force_arrows
 from questsim.viewing.outline import outline_points
-from questsim.viewing.render import Arrow, Figure, Marker, SceneRenderer
+from questsim.viewing.render import Arrow, Figure, Marker, SceneRenderer, thing_markers
 from questsim.viewing.video import write_gif, write_video
 
 LEGEND = "orange: avatar   blue: its user   green: forces"
@@ -23,7 +24,6 @@ GIF_STRIDE, GIF_WIDTH = 3, 360
 _GHOST_OPACITY = 0.18
 _LEAST_ARROW_M = 0.05
 _PUSH_RED = (0.85, 0.15, 0.12, 1.0)
-_THING = (0.89, 0.67, 0.24, 1.0)
 _DEVICE_SIZE_M = (0.035, 0.035, 0.035)
 
 
@@ -71,11 +71,17 @@ def take_frames(take: Take, width: int, height: int, stride: int = 1) -> Iterato
     first = take.moments[0].stage
     position = np.stack([m.position for m in take.moments])
     quat = np.stack([m.quat for m in take.moments])
-    outline = outline_points(position, quat, first.height_m)
+    outlines = [outline_points(position, quat, first.height_m)]
     if first.user_m > first.height_m:
-        outline = np.concatenate([outline, _user_outline(take)], axis=1)
+        outlines.append(_user_outline(take))
+    things = [m.thing for m in take.moments if m.thing is not None]
+    if things:
+        place, turn = zip(*things, strict=True)
+        outlines.append(
+            Thing(first.parts, np.stack(place), np.stack(turn)).corners_near(position[:, 0])
+        )
     cameras = follow(
-        outline,
+        np.concatenate(outlines, axis=1),
         position[:, 0],
         three_quarter_azimuth(np.stack([m.reference_quat[0] for m in take.moments])),
         width / height,
@@ -108,13 +114,7 @@ def _marks(moment: Snapshot) -> list[Marker | Arrow]:
         for position, matrix in zip(moment.device_position, matrices, strict=True)
     ]
     if moment.thing is not None:
-        place, quat = moment.thing
-        turn = rot.quat_to_matrix(quat)
-        for part in moment.stage.parts:
-            size = (part.size[0],) * 3 if part.shape == "ball" else part.size[:3]
-            x, y, z = size
-            middle = place + turn @ np.array(part.place)
-            marks.append(Marker(middle, turn, (x, y, z), _THING, part.shape == "ball"))
+        marks += thing_markers(moment.stage.parts, *moment.thing)
     for i, (start, end) in enumerate(force_arrows(moment)):
         if np.linalg.norm(end - start) > _LEAST_ARROW_M:
             marks.append(Arrow(start, end, rgba=_PUSH_RED) if i == 2 else Arrow(start, end))

@@ -16,8 +16,9 @@ from trimesh.visual.material import PBRMaterial
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.heightfield import HeightField
 from questsim.skeleton import LINKS
+from questsim.things import Part
 from questsim.viewing.costume import AVATAR, REFERENCE, Piece, costume_pieces
-from questsim.viewing.live import Part, Snapshot, Stage, force_arrows
+from questsim.viewing.live import Snapshot, Stage, force_arrows
 from questsim.viewing.render import metre_tile
 
 SKY = (226, 232, 240)

@@ -88,7 +88,8 @@ def _in_use(port: int) -> InputError:
 def is_loopback(host: str) -> bool:
     """Whether only this machine reaches a host's address."""
     try:
-        return ipaddress.ip_address(socket.gethostbyname(host)).is_loopback
+        found = {str(address[0]) for *_, address in socket.getaddrinfo(host, None)}
+        return all(ipaddress.ip_address(address).is_loopback for address in found)
     except (OSError, ValueError):
         return False
 

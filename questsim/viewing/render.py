@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from questsim import rotations as rot
 from questsim.heightfield import HeightField
 from questsim.skeleton import NUM_DOFS
+from questsim.things import Part
 from questsim.viewing.camera import FOVY_DEG, Camera
 from questsim.viewing.costume import AVATAR, Look, figure_spec
 from questsim.viewing.gl import use_gl
@@ -18,6 +20,7 @@ _QPOS = 7 + NUM_DOFS
 _HORIZON = (0.90, 0.92, 0.945)
 _ZENITH = (0.70, 0.77, 0.86)
 _SUN_DISTANCE_M = 4.0
+_THING = (0.89, 0.67, 0.24, 1.0)
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,20 @@ class Arrow:
     rgba: tuple[float, float, float, float] = (0.12, 0.63, 0.35, 1.0)
 
 
+def thing_markers(
+    parts: Sequence[Part], position: np.ndarray, quat: np.ndarray
+) -> list[Marker | Arrow]:
+    """An object made of ``parts`` that is at ``position`` ``(3,)``, turned by ``quat`` ``(4,)``."""
+    turn = rot.quat_to_matrix(quat)
+    markers: list[Marker | Arrow] = []
+    for part in parts:
+        ball = part.shape == "ball"
+        x, y, z = part.size * 3 if ball else part.size
+        middle = position + turn @ np.array(part.place)
+        markers.append(Marker(middle, turn, (x, y, z), _THING, ball))
+    return markers
+
+
 class SceneRenderer:
     """Renders figures in given poses; a context manager that frees the OpenGL context.
 
@@ -125,12 +142,14 @@ class SceneRenderer:
         """Free the OpenGL context."""
         self._renderer.close()
 
-    def device_markers(self, pose: np.ndarray, figure: int, shift: np.ndarray) -> list[Marker]:
+    def device_markers(
+        self, pose: np.ndarray, figure: int, shift: np.ndarray
+    ) -> list[Marker | Arrow]:
         """Markers where a figure in a pose ``(40,)`` has its devices, moved by ``shift``."""
         first = figure * _QPOS
         self._data.qpos[first : first + _QPOS] = pose
         mujoco.mj_kinematics(self._model, self._data)
-        markers = []
+        markers: list[Marker | Arrow] = []
         for name, size in _MARKER_SIZES.items():
             site = self._data.site(f"{figure}/{name}")
             markers.append(Marker(site.xpos + shift, site.xmat.reshape(3, 3).copy(), size))
