@@ -55,7 +55,7 @@ def train_kinematic(args: TrainArgs) -> int:
     at_least(0, minutes=args.minutes, seed=args.seed)
     _refuse_foreign(args)
     entry = AGENTS[args.agent]
-    config = with_overrides(entry.presets[args.preset], args.set)
+    config = entry.needed(with_overrides(entry.presets[args.preset], args.set))
     if args.resume:
         read_run(args.out)
     else:
