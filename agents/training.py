@@ -78,7 +78,8 @@ class TrainArgs:
     """A teacher for the student stage: a folder or a shipped name; by default the run's own."""
     start: Path | None = None
     """A teacher, by folder or shipped name, whose weights the teacher begins with; with --stage
-    student or finetune, a policy (a run, a stage, a shipped name) that is trained further."""
+    student or finetune, a policy (a run, a stage, a shipped name) that is trained further; with a
+    kinematic --agent, a system of that agent and these sizes."""
     sensors: str = "H+2C"
     """What the policy sees of the user."""
     future_frames: int = 6
@@ -113,13 +114,13 @@ def train(args: TrainArgs) -> int:
     Raises:
         InputError: for options, motions or a run folder that cannot be used.
     """
+    args = replace(args, teacher=_from_anywhere(args.teacher), start=_from_anywhere(args.start))
     if args.agent != "policy":
         from agents.kinematic.training import train_kinematic
 
         return train_kinematic(args)
     at_least(1, threads=args.threads, envs=args.envs, steps=args.steps)
     at_least(0, minutes=args.minutes, seed=args.seed)
-    args = replace(args, teacher=_from_anywhere(args.teacher), start=_from_anywhere(args.start))
     preset = with_overrides(PRESETS[args.preset], args.set)
     names = _stage_names(args, preset)
     if args.resume:

@@ -80,6 +80,10 @@ COMMANDS: dict[str, Command] = {
         "agents.kinematic.catalogue", "list_agents", "AgentsArgs",
         "list every agent and preset: sensors, size, licence, weights",
     ),
+    "ablations": Command(
+        "agents.kinematic.ablations", "ablations", "AblationsArgs",
+        "train a kinematic system and variants without one part each, and compare them",
+    ),
     "ship": Command(
         "agents.shipping", "ship", "ShipArgs",
         "copy a trained policy to the shipped ones, with a card",

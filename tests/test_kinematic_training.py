@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -140,6 +141,47 @@ def test_options_of_torque_policies_are_refused_and_leave_no_run(library, tmp_pa
         args = arguments("dragposer", str(short), tmp_path / "run")
         train(replace(args, set=("stages.vae.window=129",)))
     assert not (tmp_path / "run" / "run.yaml").exists()
+
+
+def test_a_training_starts_with_the_weights_of_an_earlier_one_and_its_card_tells_both(
+    library, tmp_path
+):
+    first, second = tmp_path / "first", tmp_path / "second"
+    train(arguments("lgsik", library, first, seed=4))
+    train(arguments("lgsik", library, second, steps=2, start=first))
+    assert history(second, "lgsik")[0] == min(history(first, "lgsik"))
+    assert load_module(second / "network" / "best")[1]["training"]["start"] == str(first)
+    other = save_library_of(replace(MOTION, licence="CC-BY-NC-4.0"), tmp_path / "other.npz")
+    train(arguments("lgsik", other, tmp_path / "third", steps=3, start=second))
+    train(arguments("lgsik", library, tmp_path / "fourth", steps=5, start=tmp_path / "third"))
+    ship(ShipArgs(tmp_path / "fourth", "mine", into=tmp_path / "weights"))
+    told = load_module(tmp_path / "weights" / "mine")[1]["training"]
+    assert [stage["steps"] for stage in told["stages"]] == [STEPS, 2, 3, 5]
+    assert told["licence"] == "CC-BY-NC-4.0"
+    assert "--start" not in told["commands"][0] and told["commands"][0].endswith("runs/first")
+    assert told["commands"][1].endswith("--out runs/second --start runs/first")
+    assert told["commands"][-1].endswith("--out runs/NAME --start runs/third")
+    assert told["commands"][-1] in (tmp_path / "weights" / "mine" / "README.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("agent", "options", "message"),
+    [
+        ("lgsik", {"start": Path("gone")}, "gone is no kinematic system"),
+        ("hmdposer", {}, "is of lgsik, not of hmdposer"),
+        ("lgsik", {"set": ("spec.size=24",)}, "is of other sizes; use its --preset and --set"),
+        ("lgsik", {"set": ("spec.graph=false",)}, "is of other sizes"),
+    ],
+)
+def test_a_start_that_does_not_fit_is_refused_and_leaves_no_run(
+    agent, options, message, library, tmp_path
+):
+    config = AGENTS["lgsik"].presets["smoke"]
+    save_system(tmp_path / "start", AGENTS["lgsik"].build(config.spec), "lgsik", config.spec, {})
+    options = {"start": tmp_path / "start"} | options
+    with pytest.raises(InputError, match=message):
+        train(arguments(agent, library, tmp_path / "run", **options))
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_damaged_or_foreign_checkpoint_is_refused(tmp_path):

@@ -127,6 +127,8 @@ class DragPoser(KinematicSystem):
                 name,
                 "newton or adam, 1 or more",
             )
+        if predictor and module.predictor is None:
+            raise InputError("was trained without a predictor", name, "leave predictor out")
         # Differences of a millionth need float64; the networks are small.
         self.module = copy.deepcopy(module).double().eval()
         for parameter in self.module.parameters():
@@ -352,7 +354,7 @@ class DragPoser(KinematicSystem):
         self._since += 1
         if not self.use_predictor or (self._tokens and self._since < TOKEN_EVERY):
             return
-        assert self._latent is not None
+        assert self._latent is not None and self.module.predictor is not None
         moved = self._root - self._token_root
         moved = diff.quat_rotate(diff.quat_conjugate(self._token_turn), moved)
         if not self._tokens:

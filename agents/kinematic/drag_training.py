@@ -16,14 +16,18 @@ from agents.kinematic.dragposer import (
     PAST,
     TOKEN_EVERY,
     DragPoserModule,
+    LatentPredictor,
     joints_from_root,
     pose_of,
 )
 from agents.kinematic.learning import Learning, Task
 from questsim import differentiable as diff
 
-FK_WEIGHT, KLD_WEIGHT, CONTINUITY_WEIGHT = 100.0, 0.001, 1.0
+FK_WEIGHT, KLD_WEIGHT = 100.0, 0.001
 """Beside 1 for quaternions (the paper)."""
+CONTINUITY = "continuity"
+WEIGHTS = {CONTINUITY: 1.0}
+"""Of the continuity loss (the paper); 0 leaves it out."""
 LATENT_STEP = 0.1
 """Length factor of the one gradient step that continuity takes."""
 NOISE_CHANCE, NOISE_STD = 0.1, 0.3
@@ -56,9 +60,11 @@ def make_task(
             tokens = tokens_of(module, bank.fixed(64)).flatten(0, 1)
         module.token_mean.copy_(tokens.mean(dim=0))
         module.token_std.copy_(tokens.std(dim=0).clamp_min(1e-3))
-    make_loss = _vae_loss if stage == "vae" else _predictor_loss
-    trained = module.vae if stage == "vae" else module.predictor
-    loss = make_loss(module)
+    if stage == "vae":
+        trained, loss = module.vae, _vae_loss(module, (WEIGHTS | learning.weights)[CONTINUITY])
+    else:
+        assert module.predictor is not None
+        trained, loss = module.predictor, _predictor_loss(module, module.predictor)
     noise = np.random.default_rng(7)
     fixed = (bank.fixed(validation), _normal(noise, stage, validation))
 
@@ -94,7 +100,7 @@ def _apart(module: DragPoserModule, latent: Tensor, target: Tensor, offsets: Ten
 _Loss = Callable[[_Batch], tuple[Tensor, dict[str, float]]]
 
 
-def _vae_loss(module: DragPoserModule) -> _Loss:
+def _vae_loss(module: DragPoserModule, continuity_weight: float) -> _Loss:
     def loss(batch: _Batch) -> tuple[Tensor, dict[str, float]]:
         windows, noise = batch
         target, offsets = poses(windows, 1), windows.offsets
@@ -104,7 +110,7 @@ def _vae_loss(module: DragPoserModule) -> _Loss:
         kld = -0.5 * (1 + log_variance - mean.square() - log_variance.exp()).mean()
         total = rebuilt + KLD_WEIGHT * kld
         figures = {"rebuilt": float(rebuilt.detach()), "kld": float(kld.detach())}
-        if windows.frames > 2:
+        if windows.frames > 2 and continuity_weight:
             # One gradient step from this pose's latent must decode to the next pose.
             following = poses(windows, 2)
             with torch.enable_grad():
@@ -113,8 +119,8 @@ def _vae_loss(module: DragPoserModule) -> _Loss:
                 slope = torch.autograd.grad(there, start, create_graph=True)[0]
             moved = start - LATENT_STEP * slope
             continuity = _apart(module, moved, following, offsets).mean()
-            total = total + CONTINUITY_WEIGHT * continuity
-            figures["continuity"] = float(continuity.detach())
+            total = total + continuity_weight * continuity
+            figures[CONTINUITY] = float(continuity.detach())
         with torch.no_grad():
             got = joints_from_root(module.decode(mean).rotation, offsets)
             want = joints_from_root(target[..., :4], offsets)
@@ -139,14 +145,14 @@ def tokens_of(module: DragPoserModule, windows: Windows) -> Tensor:
     return torch.stack(told, dim=1)
 
 
-def _predictor_loss(module: DragPoserModule) -> _Loss:
+def _predictor_loss(module: DragPoserModule, predictor: LatentPredictor) -> _Loss:
     def loss(batch: _Batch) -> tuple[Tensor, dict[str, float]]:
         windows, noise = batch
         with torch.no_grad():
             tokens = (tokens_of(module, windows) - module.token_mean) / module.token_std
         past, coming = tokens[:, :PAST].clone(), tokens[:, PAST : PAST + FUTURE, :LATENT]
         past[..., :LATENT] += noise[:, : past.shape[1]]
-        got = module.predictor(past, coming.shape[1])
+        got = predictor(past, coming.shape[1])
         squared = (got - coming).square()
         total = squared.mean()
         first = squared[:, 0].mean()

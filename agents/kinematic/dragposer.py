@@ -8,7 +8,7 @@ autoencoder (the paper says about 168 thousand) and a predictor of about 1.28 mi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor, nn
@@ -23,6 +23,7 @@ from agents.kinematic.skeletal import (
     spread,
     unpool_matrix,
 )
+from agents.kinematic.switches import SWITCH
 from questsim import differentiable as diff
 from questsim.skeleton import JOINTS, NUM_JOINTS
 
@@ -48,6 +49,8 @@ class DragPoserSpec:
         solver: ``adam`` (as published) or ``newton`` (damped Gauss-Newton, which one iteration a
             frame is enough for).
         iterations: of the solver, at most, a frame.
+        predictor: whether there is the temporal predictor; else its stage is not trained, and the
+            last latent is what the next one is expected to be.
     """
 
     size: int = 48
@@ -58,6 +61,7 @@ class DragPoserSpec:
     dropout: float = 0.1
     solver: str = "newton"
     iterations: int = 10
+    predictor: bool = field(default=True, metadata=SWITCH)
 
 
 @dataclass(frozen=True)
@@ -175,7 +179,7 @@ class DragPoserModule(nn.Module):
         super().__init__()
         self.spec = spec
         self.vae = PoseAutoencoder()
-        self.predictor = LatentPredictor(spec)
+        self.predictor = LatentPredictor(spec) if spec.predictor else None
         for buffer, value in (
             ("mean", torch.zeros(NUM_JOINTS, ENCODED)),
             ("std", torch.zeros(NUM_JOINTS, ENCODED)),

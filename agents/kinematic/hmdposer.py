@@ -8,13 +8,14 @@ heading, and the 16 shape numbers are lengths of bones (``questsim.proportions``
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor, nn
 
 from agents.kinematic.features import ATOMS
 from agents.kinematic.lstm import LstmBank, State
+from agents.kinematic.switches import SWITCH
 from questsim.proportions import NUM_BONES
 from questsim.skeleton import NUM_JOINTS
 
@@ -25,7 +26,7 @@ TOKENS: tuple[str, ...] = (
 
 @dataclass(frozen=True)
 class HmdPoserSpec:
-    """Sizes of the network.
+    """Sizes of the network, and what it does without.
 
     Attributes:
         size: features of a token.
@@ -34,6 +35,8 @@ class HmdPoserSpec:
         head_hidden: hidden units of the pose and shape heads.
         acceleration_size: features of an IMU's token that tell its acceleration.
         dropout: of the transformers.
+        hands_in_head: whether there are the two tokens of the hands as the head sees them.
+        shape_head: whether bones are estimated; else all people have those of the mean body.
     """
 
     size: int = 256
@@ -44,6 +47,8 @@ class HmdPoserSpec:
     head_hidden: int = 256
     acceleration_size: int = 16
     dropout: float = 0.1
+    hands_in_head: bool = field(default=True, metadata=SWITCH)
+    shape_head: bool = field(default=True, metadata=SWITCH)
 
 
 class HmdPoserNet(nn.Module):
@@ -57,14 +62,17 @@ class HmdPoserNet(nn.Module):
         super().__init__()
         self.spec = spec
         quarter, rest = spec.size // 4, (spec.size - spec.acceleration_size) // 2
+        self._tokens = [t for t in TOKENS if spec.hands_in_head or not t.endswith("_in_head")]
         self.embeddings = nn.ModuleList()
-        for token in TOKENS:
+        for token in self._tokens:
             widths = [(6, quarter), (6, quarter), (3, quarter), (3, quarter)]
             if len(ATOMS[token]) == 15:
                 widths = [(6, rest), (6, rest), (3, spec.acceleration_size)]
             self.embeddings.append(nn.ModuleList([nn.Linear(a, b) for a, b in widths]))
         self.norm = nn.LayerNorm(spec.size, eps=1e-6)
-        self.time = nn.ModuleList([LstmBank(len(TOKENS), spec.size) for _ in range(spec.blocks)])
+        self.time = nn.ModuleList(
+            [LstmBank(len(self._tokens), spec.size) for _ in range(spec.blocks)]
+        )
         self.space = nn.ModuleList()
         for _ in range(spec.blocks):
             layer = nn.TransformerEncoderLayer(
@@ -72,9 +80,9 @@ class HmdPoserNet(nn.Module):
             )
             encoder = nn.TransformerEncoder(layer, spec.layers, enable_nested_tensor=False)
             self.space.append(encoder)
-        wide = spec.size * len(TOKENS)
+        wide = spec.size * len(self._tokens)
         self.pose = _head(wide, spec.head_hidden, NUM_JOINTS * 6)
-        self.shape = _head(wide, spec.head_hidden, NUM_BONES)
+        self.shape = _head(wide, spec.head_hidden, NUM_BONES) if spec.shape_head else None
 
     def last_layers(self) -> list[nn.Linear]:
         """Those that answer rotations."""
@@ -84,7 +92,7 @@ class HmdPoserNet(nn.Module):
 
     def _embed(self, features: Tensor) -> Tensor:
         tokens = []
-        for token, layers in zip(TOKENS, self.embeddings, strict=True):
+        for token, layers in zip(self._tokens, self.embeddings, strict=True):
             assert isinstance(layers, nn.ModuleList)
             atom, at, parts = features[..., ATOMS[token]], 0, []
             for layer in layers:
@@ -113,9 +121,10 @@ class HmdPoserNet(nn.Module):
         for block, (time, space) in enumerate(zip(self.time, self.space, strict=True)):
             x, state = time(x, None if states is None else states[block])
             after.append(state)
-            x = space(x.flatten(0, 1)).view(batch, frames, len(TOKENS), -1)
+            x = space(x.flatten(0, 1)).view(batch, frames, len(self._tokens), -1)
         x = x.flatten(2)
-        return self.pose(x).view(batch, frames, NUM_JOINTS, 6), self.shape(x), after
+        shape = x.new_zeros(batch, frames, NUM_BONES) if self.shape is None else self.shape(x)
+        return self.pose(x).view(batch, frames, NUM_JOINTS, 6), shape, after
 
 
 def _head(wide: int, hidden: int, out: int) -> nn.Sequential:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,8 @@ class Learning:
             as fast on processors that know it.
         evaluate_every: gradient steps between evaluations.
         steps: gradient steps after which the stage ends even if there is time.
+        weights: of terms of the loss that can be weighed: ``continuity`` of DragPoser's ``vae``,
+            ``keep`` of SparsePoser's ``ik``; without an entry, the published one.
     """
 
     share: float = 1.0
@@ -46,6 +48,7 @@ class Learning:
     bfloat16: bool = False
     evaluate_every: int = 500
     steps: int | None = None
+    weights: dict[str, float] = field(default_factory=dict)
 
 
 STEP_AT = 0.75

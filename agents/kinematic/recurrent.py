@@ -243,7 +243,8 @@ def losses(
 
     HMD-Poser, L1: root 1, local 5, global 1, joints 1, acceleration 0.5 (of 100 m/s^2), shape
     consistency 0.1. LGSIK-Poser, MSE: root 10, local 50, global 10, joints 1000, sparse joints
-    (root, hands) 1000, shape 10, velocity 5 over lags of 1, 3 and 5 frames.
+    (root, hands) 1000, shape 10, velocity 5 over lags of 1, 3 and 5 frames. LGSIK-Poser can be
+    trained by HMD-Poser's (``LgsikSpec.loss``).
     """
     local = diff.six_d_to_matrix(six)
     offsets = module.bones(shape)
@@ -261,7 +262,7 @@ def losses(
     # Paths in the world, without the head's own, which is given.
     moved, want_moved = turned, from_head
     wander = (shape - shape.mean(dim=1, keepdim=True)).abs().mean()
-    if isinstance(module.net, HmdPoserNet):
+    if isinstance(module.net, HmdPoserNet) or module.net.spec.loss == "hmdposer":
 
         def bend(x: Tensor) -> Tensor:
             return (x[:, 2:] - 2 * x[:, 1:-1] + x[:, :-2]) * (SENSOR_FPS**2 / 100.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from torch import nn
@@ -28,6 +28,7 @@ class Entry:
         build: an untrained module of a spec.
         task: see ``learning.TaskMaker``.
         system: of module, name, stages trained, and options.
+        optional: stages that are left out where this switch of the spec is off.
     """
 
     title: str
@@ -36,6 +37,20 @@ class Entry:
     build: Callable[[Any], nn.Module]
     task: TaskMaker
     system: Callable[[nn.Module, str, list[str], dict[str, Any]], KinematicSystem]
+    optional: dict[str, str] = field(default_factory=dict)
+
+    def needed(self, config: Config) -> Config:
+        """A preset without the stages that its spec does without; the others share the time."""
+        stages = {
+            name: learning
+            for name, learning in config.stages.items()
+            if getattr(config.spec, self.optional.get(name, ""), True)
+        }
+        whole = sum(learning.share for learning in stages.values())
+        if len(stages) == len(config.stages):
+            return config
+        shared = {name: replace(stage, share=stage.share / whole) for name, stage in stages.items()}
+        return replace(config, stages=shared)
 
 
 def _no_options(name: str, options: dict[str, Any], known: tuple[str, ...] = ()) -> None:
@@ -151,6 +166,7 @@ AGENTS: dict[str, Entry] = {
                         batch=256,
                         window=64,
                         clip=None,
+                        weights=sparse_training.WEIGHTS,
                     ),
                 },
             ),
@@ -158,14 +174,16 @@ AGENTS: dict[str, Entry] = {
                 sparseposer.SparsePoserSpec(channels=(8, 12, 20, 32), kernel=9),
                 {
                     "generator": replace(_CPU, share=0.75, window=64),
-                    "ik": Learning(share=0.25, batch=32, window=64),
+                    "ik": Learning(
+                        share=0.25, batch=32, window=64, weights=sparse_training.WEIGHTS
+                    ),
                 },
             ),
             "smoke": Config(
                 sparseposer.SparsePoserSpec(channels=(8, 8, 8, 8), kernel=5, ik_hidden=32),
                 {
                     "generator": replace(_SMOKE, share=0.7, window=64),
-                    "ik": replace(_SMOKE, share=0.3, window=64),
+                    "ik": replace(_SMOKE, share=0.3, window=64, weights=sparse_training.WEIGHTS),
                 },
                 validation=12,
             ),
@@ -173,6 +191,7 @@ AGENTS: dict[str, Entry] = {
         sparseposer.SparsePoserModule,
         sparse_training.make_task,
         _sparse,
+        {"ik": "learned_ik"},
     ),
     "dragposer": Entry(
         "DragPoser (Ponton et al., 2024)",
@@ -188,6 +207,7 @@ AGENTS: dict[str, Entry] = {
                         batch=64,
                         window=3,
                         clip=100.0,
+                        weights=drag_training.WEIGHTS,
                     ),
                     "predictor": Learning(
                         share=0.5,
@@ -202,14 +222,23 @@ AGENTS: dict[str, Entry] = {
             "cpu": Config(
                 dragposer.DragPoserSpec(feed_forward=256, encoder_layers=2, decoder_layers=2),
                 {
-                    "vae": Learning(share=0.6, batch=256, window=3, clip=10.0),
+                    "vae": Learning(
+                        share=0.6, batch=256, window=3, clip=10.0, weights=drag_training.WEIGHTS
+                    ),
                     "predictor": Learning(share=0.4, batch=32, window=129, warm_up=200),
                 },
             ),
             "smoke": Config(
                 dragposer.DragPoserSpec(feed_forward=32, encoder_layers=1, decoder_layers=1),
                 {
-                    "vae": replace(_SMOKE, share=0.5, batch=32, window=3, clip=10.0),
+                    "vae": replace(
+                        _SMOKE,
+                        share=0.5,
+                        batch=32,
+                        window=3,
+                        clip=10.0,
+                        weights=drag_training.WEIGHTS,
+                    ),
                     "predictor": replace(_SMOKE, share=0.5, window=129),
                 },
                 validation=12,
@@ -218,5 +247,6 @@ AGENTS: dict[str, Entry] = {
         dragposer.DragPoserModule,
         drag_training.make_task,
         _drag,
+        {"predictor": "predictor"},
     ),
 }

@@ -13,7 +13,7 @@ from agents.comparison_report import LABELS, SCHEMA, SCHEMA_VERSION
 from agents.comparison_run import parameters
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.registry import AGENTS
-from agents.kinematic.store import CARD_FILE, load_system, read_system_card
+from agents.kinematic.store import CARD_FILE, find_system, load_system, read_system_card
 from agents.licence import strictest
 from agents.model_card import card_text, read_report, time_text
 from agents.provenance import options_of, run_of
@@ -42,11 +42,14 @@ LIMITS = """\
 def system_provenance(folder: Path) -> dict[str, Any]:
     """What a card tells of a system's training; the same keys as ``provenance.provenance``.
 
+    Commands and stages of a system that it started from come first, and the licence is the
+    strictest of all motions.
+
     Args:
         folder: the checkpoint's, inside its run.
 
     Raises:
-        InputError: it is not inside a run.
+        InputError: it is not inside a run, or what it started from is gone.
     """
     run = run_of(folder)
     record = read_run(run)
@@ -65,12 +68,41 @@ def system_provenance(folder: Path) -> dict[str, Any]:
         )
     minutes = ceil(sum(stage["minutes"] for stage in stages))
     words = [*options_of(record["args"]), "--minutes", str(minutes), "--out", "runs/NAME"]
+    before: dict[str, Any] = {"commands": [], "stages": [], "licences": []}
+    if start := record["args"].get("start"):
+        before, called = _start_provenance(start)
+        words += ["--start", called]
     return {
-        "commands": [shlex.join(["python", "train.py", *words])],
-        "stages": stages,
-        "licence": strictest(training["licences"]),
+        "commands": [*before["commands"], shlex.join(["python", "train.py", *words])],
+        "stages": [*before["stages"], *stages],
+        "licence": strictest([*training["licences"], *before["licences"]]),
         "versions": record["versions"],
     }
+
+
+def _start_provenance(start: str) -> tuple[dict[str, Any], str]:
+    """Commands, stages and licences of the system a training started from, and its run's name.
+
+    Raises:
+        InputError: it is gone.
+    """
+    folder = find_system(start)
+    if folder is None:
+        raise InputError("what it started from is gone", start)
+    told = read_system_card(folder)["training"]
+    if "stages" in told:
+        called = f"runs/{folder.name}"
+    else:
+        told = system_provenance(folder)
+        called = f"runs/{run_of(folder).name}"
+    *earlier, last = told["commands"]
+    words = [called if word == "runs/NAME" else word for word in shlex.split(last)]
+    found = {
+        "commands": [*earlier, shlex.join(words)],
+        "stages": list(told["stages"]),
+        "licences": [told["licence"]],
+    }
+    return found, called
 
 
 def system_card(

@@ -177,6 +177,25 @@ class MaskedConv(nn.Module):
         return nn.functional.conv1d(padded, self.weight * self.mask, self.bias, self.stride)
 
 
+class PlainMixing(nn.Module):
+    """Instead of pooling or unpooling: every channel out of every channel in, alike in time.
+
+    Args:
+        matrix: ``(joints out, joints in)`` of the pooling it stands for; only its shape counts.
+        channels: of a joint.
+    """
+
+    def __init__(self, matrix: Tensor, channels: int) -> None:
+        super().__init__()
+        rows, columns = matrix.shape[0] * channels, matrix.shape[1] * channels
+        weight = torch.empty(rows, columns).uniform_(-1.0, 1.0)
+        self.weight = nn.Parameter(weight * columns**-0.5)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """``(B, joints in * channels, ...)`` to ``(B, joints out * channels, ...)``."""
+        return torch.einsum("ij,bj...->bi...", self.weight, x)
+
+
 def spread(matrix: Tensor, x: Tensor, channels: int) -> Tensor:
     """Pool or unpool features ``(B, joints * channels, ...)`` by a matrix of joints."""
     joints = x.unflatten(1, (matrix.shape[1], channels))

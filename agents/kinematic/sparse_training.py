@@ -16,8 +16,10 @@ from questsim.skeleton import NUM_JOINTS
 
 ROOT_WEIGHT, ROTATION_WEIGHT = 10.0, 10.0
 """Of the root against other joints, and of ends' rotations against positions (released code)."""
-KEEP_WEIGHT = 0.1
-"""Of the limbs staying as the generator has them (the paper's lambda)."""
+KEEP = "keep"
+WEIGHTS = {KEEP: 0.1}
+"""Of the limbs staying as the generator has them: the regularisation of the paper's loss of learned
+IK, lambda times the squared difference of joints' dual quaternions."""
 NORMALISED_BY = 256
 """Windows that the normalisers are measured on."""
 
@@ -66,7 +68,7 @@ def make_task(
         loss = _generator_loss(module, learning.bfloat16)
     else:
         trained = list(module.ik.parameters())
-        loss = _ik_loss(module)
+        loss = _ik_loss(module, (WEIGHTS | learning.weights)[KEEP])
 
     def draw(rng: np.random.Generator) -> Windows:
         return bank.draw(learning.batch, rng)
@@ -115,7 +117,7 @@ def _generator_loss(module: SparsePoserModule, bfloat16: bool) -> _Loss:
     return loss
 
 
-def _ik_loss(module: SparsePoserModule) -> _Loss:
+def _ik_loss(module: SparsePoserModule, keep_weight: float) -> _Loss:
     limbs = [limb.end for limb in LIMBS.values()]
     moved = sorted(joint for limb in LIMBS.values() for joint in limb.joints)
 
@@ -129,7 +131,7 @@ def _ik_loss(module: SparsePoserModule) -> _Loss:
         apart = (position - want_position)[:, :, limbs].square().mean()
         turn = (turned - want_turned)[:, :, limbs].square().mean()
         keep = (solved - generated)[:, :, moved].square().mean()
-        total = apart + ROTATION_WEIGHT * turn + KEEP_WEIGHT * keep
+        total = apart + ROTATION_WEIGHT * turn + keep_weight * keep
         end_cm = 100.0 * (position - want_position)[:, :, limbs].detach().norm(dim=-1).mean()
         return total, {
             "end_position": float(apart.detach()),

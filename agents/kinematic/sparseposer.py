@@ -10,7 +10,7 @@ and the orientations that the trackers on pelvis, head and hands measure are pas
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -23,11 +23,13 @@ from agents.kinematic.skeletal import (
     SIZES,
     MaskedConv,
     MaskedLinear,
+    PlainMixing,
     neighbour_mask,
     pool_matrix,
     spread,
     unpool_matrix,
 )
+from agents.kinematic.switches import SWITCH
 from questsim import differentiable as diff
 from questsim import rotations as rot
 from questsim.errors import InputError
@@ -57,17 +59,22 @@ STATIC = (3, 6, 12, 24)
 
 @dataclass(frozen=True)
 class SparsePoserSpec:
-    """Sizes of the networks.
+    """Sizes of the networks, and what they do without.
 
     Attributes:
         channels: of a joint: input, then after each convolution.
         kernel: frames of a convolution.
         ik_hidden: units of both hidden layers of a limb's IK.
+        learned_ik: whether there is learned IK; else its stage is not trained.
+        skeletal: whether layers know the skeleton. Else every joint's weights reach every joint,
+            and pooling and unpooling are learned products of all channels with all.
     """
 
     channels: tuple[int, int, int, int] = (8, 16, 32, 64)
     kernel: int = 15
     ik_hidden: int = 128
+    learned_ik: bool = field(default=True, metadata=SWITCH)
+    skeletal: bool = field(default=True, metadata=SWITCH)
 
 
 @dataclass(frozen=True)
@@ -112,11 +119,11 @@ class Generator(nn.Module):
         super().__init__()
         self.spec = spec
         c, slots = spec.channels, SIZES[3] + 1
+        masks = [neighbour_mask(PARENTS[level]) for level in range(3)]
+        if not spec.skeletal:
+            masks = [torch.ones_like(mask) for mask in masks]
         self.static = nn.ModuleList(
-            [
-                MaskedLinear(neighbour_mask(PARENTS[level]), STATIC[level], STATIC[level + 1])
-                for level in range(3)
-            ]
+            [MaskedLinear(masks[i], STATIC[i], STATIC[i + 1]) for i in range(3)]
         )
         everything = torch.ones(slots, slots)
         self.encoder = nn.ModuleList(
@@ -126,19 +133,31 @@ class Generator(nn.Module):
             [MaskedLinear(everything, STATIC[3], c[i + 1]) for i in range(3)]
         )
         self.decoder, self.decoder_static = nn.ModuleList(), nn.ModuleList()
+        self.mixing = nn.ModuleDict()
         for level in (2, 1, 0):
-            mask = neighbour_mask(PARENTS[level])
-            self.decoder.append(MaskedConv(mask, c[level + 1], c[level], spec.kernel))
-            self.decoder_static.append(MaskedLinear(mask, STATIC[level], c[level]))
+            self.decoder.append(MaskedConv(masks[level], c[level + 1], c[level], spec.kernel))
+            self.decoder_static.append(MaskedLinear(masks[level], STATIC[level], c[level]))
             unpool = unpool_matrix(POOLINGS[level], "in" if level == 2 else "")
-            self.register_buffer(f"unpool_{level}", unpool, persistent=False)
-            self.register_buffer(f"pool_{level}", pool_matrix(POOLINGS[level]), persistent=False)
+            self._spreading(f"unpool_{level}", unpool, c[level + 1])
+            self._spreading(f"pool_{level}", pool_matrix(POOLINGS[level]), STATIC[level + 1])
+
+    def _spreading(self, name: str, matrix: Tensor, channels: int) -> None:
+        """Prepare a pooling or unpooling of joints of so many channels."""
+        if self.spec.skeletal:
+            self.register_buffer(name, matrix, persistent=False)
+        else:
+            self.mixing[name] = PlainMixing(matrix, channels)
+
+    def _spread(self, name: str, x: Tensor, channels: int) -> Tensor:
+        if self.spec.skeletal:
+            return spread(getattr(self, name), x, channels)
+        return self.mixing[name](x)
 
     def _static(self, offsets: Tensor) -> tuple[list[Tensor], Tensor]:
         """Features of the offsets at 22, 14 and 9 joints, and of 6 joints and an empty slot."""
         told, x = [offsets], offsets
         for level, layer in enumerate(self.static):
-            x = spread(getattr(self, f"pool_{level}"), layer(x), STATIC[level + 1])
+            x = self._spread(f"pool_{level}", layer(x), STATIC[level + 1])
             x = nn.functional.leaky_relu(x, 0.2)
             told.append(x)
         return told[:3], nn.functional.pad(told[3], (0, STATIC[3]))
@@ -157,7 +176,7 @@ class Generator(nn.Module):
         blocks = zip((2, 1, 0), self.decoder, self.decoder_static, strict=True)
         for level, conv, static in blocks:
             x = nn.functional.interpolate(x, scale_factor=2, mode="linear", align_corners=False)
-            x = spread(getattr(self, f"unpool_{level}"), x, self.spec.channels[level + 1])
+            x = self._spread(f"unpool_{level}", x, self.spec.channels[level + 1])
             x = conv(x) + static(told[level])[..., None]
             if level:
                 x = nn.functional.leaky_relu(x, 0.2)
@@ -179,9 +198,10 @@ class SparsePoserModule(nn.Module):
 
     def __init__(self, spec: SparsePoserSpec) -> None:
         super().__init__()
+        self.spec = spec
         self.generator = Generator(spec)
         self.ik = nn.ModuleDict()
-        for name, limb in LIMBS.items():
+        for name, limb in LIMBS.items() if spec.learned_ik else ():
             width = 9 + 8 * len(limb.chain) + 8
             last = nn.Linear(spec.ik_hidden, 24)
             # It answers corrections, none at first.
@@ -312,6 +332,8 @@ class SparsePoser(KinematicSystem):
     ) -> None:
         if not 0 <= future_frames <= MAX_FUTURE:
             raise InputError(f"future_frames is {future_frames}, not 0 to {MAX_FUTURE}", name)
+        if learned_ik and not module.spec.learned_ik:
+            raise InputError("was trained without learned IK", name, "leave learned_ik out")
         self.module, self.name = module, name
         self.future_frames, self.learned_ik = future_frames, learned_ik
         module.eval()

@@ -19,6 +19,7 @@ from torch import nn
 from agents.checkpoint import RESUME_FILE, SHIPPED, pack, whole_folder
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.registry import AGENTS, Entry
+from agents.kinematic.switches import switches
 from questsim.errors import InputError
 from questsim.joint_sensors import SENSOR_FPS
 from questsim.skeleton import JOINTS
@@ -121,7 +122,8 @@ def load_module(folder: Path) -> tuple[nn.Module, dict[str, Any]]:
 def _spec(entry: Entry, card: dict[str, Any], folder: Path) -> Any:
     kind = type(entry.presets["paper"].spec)
     found = card.get("spec")
-    if not isinstance(found, dict) or set(found) != {field.name for field in fields(kind)}:
+    known = {field.name for field in fields(kind)}
+    if not isinstance(found, dict) or not known - switches(kind) <= set(found) <= known:
         raise InputError("the sizes are incomplete", folder / CARD_FILE, "train it again")
     return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in found.items()})
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 INTERRUPTED = 130
 MAY_DIFFER_ON_RESUME = {"minutes", "steps", "resume", "threads", "out", "set"}
 NOT_OURS = (
-    "stage", "teacher", "start", "sensors", "future_frames", "heights", "mirrored", "hold_out",
+    "stage", "teacher", "sensors", "future_frames", "heights", "mirrored", "hold_out",
     "envs", "env", "pushes", "randomisation",
 )  # fmt: skip
 """Options of the torque policies' training alone."""
@@ -55,7 +55,7 @@ def train_kinematic(args: TrainArgs) -> int:
     at_least(0, minutes=args.minutes, seed=args.seed)
     _refuse_foreign(args)
     entry = AGENTS[args.agent]
-    config = with_overrides(entry.presets[args.preset], args.set)
+    config = entry.needed(with_overrides(entry.presets[args.preset], args.set))
     if args.resume:
         read_run(args.out)
     else:
@@ -67,6 +67,8 @@ def train_kinematic(args: TrainArgs) -> int:
     torch.set_num_threads(args.threads)
     torch.manual_seed(args.seed)
     module = entry.build(config.spec)
+    if args.start is not None:
+        begin_with(module, args.start, args.agent)
     stopper, banks, begun = Stopper(), {}, []
 
     def begin() -> None:
@@ -89,6 +91,31 @@ def train_kinematic(args: TrainArgs) -> int:
             module.load_state_dict(load_module(best)[0].state_dict())
         display.say(f"trained: {find_system(args.out)}")
     return 0
+
+
+def begin_with(module: nn.Module, start: Path, agent: str) -> None:
+    """Give a module the weights and normalisers of a trained system.
+
+    Args:
+        module: of the agent.
+        start: a checkpoint, stage or run folder, or a shipped name.
+        agent: its name in the registry.
+
+    Raises:
+        InputError: there is no such system, or it is of another agent or other sizes.
+    """
+    folder = find_system(start)
+    if folder is None:
+        raise InputError(f"{start} is no kinematic system", "--start")
+    found, card = load_module(folder)
+    if card["agent"] != agent:
+        raise InputError(f"{start} is of {card['agent']}, not of {agent}", "--start")
+    try:
+        module.load_state_dict(found.state_dict())
+    except RuntimeError:
+        raise InputError(
+            f"{start} is of other sizes", "--start", "use its --preset and --set"
+        ) from None
 
 
 def _refuse_foreign(args: TrainArgs) -> None:
@@ -124,6 +151,8 @@ def _fit(
         save_system(folder, module, args.agent, config.spec, training, resume)
 
     record = {"preset": args.preset, "seed": args.seed, "threads": args.threads, **data}
+    if args.start is not None:
+        record["start"] = str(args.start)
     fit = Fit(
         name=name,
         module=module,

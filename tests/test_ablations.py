@@ -1,0 +1,417 @@
+"""Systems without one of their parts: what each switch changes, and the table of all."""
+
+import csv
+import json
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import yaml
+
+from agents.comparison_report import Row
+from agents.kinematic import load_system
+from agents.kinematic.ablation_report import FILES, Result, differences, table
+from agents.kinematic.ablations import VARIANTS, AblationsArgs, ablations
+from agents.kinematic.data import MotionBank
+from agents.kinematic.features import ATOMS
+from agents.kinematic.hmdposer import HmdPoserNet, HmdPoserSpec
+from agents.kinematic.interface import Body
+from agents.kinematic.lgsik import PARTS, LgsikNet, LgsikSpec
+from agents.kinematic.registry import AGENTS
+from agents.kinematic.skeletal import MaskedConv, MaskedLinear, PlainMixing
+from agents.kinematic.store import find_system, load_module, read_system_card, save_system
+from agents.kinematic.switches import switches
+from agents.overrides import with_overrides
+from agents.training import TrainArgs, train
+from questsim.cli import main
+from questsim.errors import InputError
+from questsim.joint_sensors import readings
+from questsim.motion.library import save_library
+from questsim.motion.retarget_back import to_motion
+from questsim.sensors import SENSOR_SETS
+from questsim.skeleton import JOINTS
+from tests.helpers import swaying_clip
+
+MOTION = to_motion(swaying_clip(frames=42)).resampled(60.0)
+WINDOWS = {"hmdposer": 18, "lgsik": 18, "sparseposer": 64, "dragposer": 3}
+SETS = {"hmdposer": "H+2C+2IMU", "lgsik": "H+2C+3IMU", "sparseposer": "6T", "dragposer": "6T"}
+SWITCHED = [
+    *[(agent, v.set) for agent in VARIANTS for v in VARIANTS[agent] if v.set],
+    ("sparseposer", ("spec.learned_ik=false",)),
+    ("dragposer", ("spec.predictor=false",)),
+]
+
+FEATURES = torch.randn(2, 5, 135, generator=torch.Generator().manual_seed(1))
+TALL, SHORT = torch.ones(2, 11), -torch.ones(2, 11)
+
+
+@pytest.fixture(autouse=True)
+def _few_windows(monkeypatch):
+    """Normalisers of these tests need not be good."""
+    monkeypatch.setattr("agents.kinematic.sparse_training.NORMALISED_BY", 16)
+
+
+@pytest.fixture
+def library(tmp_path):
+    path = tmp_path / "motions.npz"
+    save_library(path, [MOTION], [])
+    return str(path)
+
+
+def config_of(agent: str, *assignments: str):
+    return with_overrides(AGENTS[agent].presets["smoke"], assignments)
+
+
+def task_of(agent: str, *assignments: str, stage: str | None = None) -> tuple[Any, Any]:
+    """An untrained module of the smallest preset with values changed, and a stage's task."""
+    torch.manual_seed(0)
+    config, entry = config_of(agent, *assignments), AGENTS[agent]
+    module = entry.build(config.spec)
+    name = stage or next(iter(config.stages))
+    bank = MotionBank([MOTION], WINDOWS[agent])
+    return module, entry.task(module, name, config.stages[name], bank, 4)
+
+
+def loss_of(task) -> tuple[torch.Tensor, dict[str, float]]:
+    return task.loss(task.draw(np.random.default_rng(0)))
+
+
+def answers(net: Any, features: torch.Tensor, body: torch.Tensor) -> tuple[Any, Any]:
+    """Rotations and shape numbers of a network in use."""
+    net.eval()
+    with torch.no_grad():
+        six, shape, _ = net(features, body)
+    return six, shape
+
+
+def layers(module: torch.nn.Module, kind: type) -> list[Any]:
+    return [layer for layer in module.modules() if isinstance(layer, kind)]
+
+
+# -- every variant -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("agent", "values"), SWITCHED, ids=lambda x: x if str(x) == x else x[0])
+def test_a_variant_is_saved_and_loaded_with_its_switch_and_answers(agent, values, tmp_path):
+    module, _ = task_of(agent, *values)
+    config = config_of(agent, *values)
+    stage = next(iter(config.stages))
+    save_system(tmp_path, module, agent, config.spec, {"trained": [stage]})
+    loaded, card = load_module(tmp_path)
+    assert card["spec"] == json.loads(json.dumps(asdict(config.spec)))
+    same = loaded.state_dict()
+    assert all(torch.equal(value, same[name]) for name, value in module.state_dict().items())
+    system, seen = load_system(tmp_path), readings(MOTION, SENSOR_SETS[SETS[agent]])
+    system.reset(Body.of(MOTION), SETS[agent])
+    assert all(system.step(seen[t]).finite() for t in range(3))
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_a_checkpoint_from_before_there_were_switches_has_all_parts(agent, tmp_path):
+    module, _ = task_of(agent)
+    spec = config_of(agent).spec
+    save_system(tmp_path, module, agent, spec, {"trained": []})
+    card = yaml.safe_load((tmp_path / "system.yaml").read_text())
+    added = switches(type(spec))
+    assert added and added < set(card["spec"])
+    card["spec"] = {name: value for name, value in card["spec"].items() if name not in added}
+    (tmp_path / "system.yaml").write_text(yaml.safe_dump(card))
+    loaded = load_module(tmp_path)[0].state_dict()
+    assert loaded.keys() == module.state_dict().keys()
+    card["spec"].popitem()
+    (tmp_path / "system.yaml").write_text(yaml.safe_dump(card))
+    with pytest.raises(InputError, match="the sizes are incomplete"):
+        load_module(tmp_path)
+
+
+@pytest.mark.parametrize("agent", VARIANTS)
+def test_a_variant_changes_every_preset_or_the_run_alone(agent):
+    for variant in VARIANTS[agent]:
+        assert bool(variant.set) != bool(variant.options)
+        for preset in AGENTS[agent].presets.values():
+            assert not variant.set or with_overrides(preset, variant.set) != preset
+
+
+# -- LGSIK-Poser ---------------------------------------------------------------------------------
+
+
+def lgsik(**switched: Any) -> LgsikNet:
+    torch.manual_seed(0)
+    return LgsikNet(LgsikSpec(size=8, hidden=(16, 16), shape_hidden=8, **switched))
+
+
+def right_leg_before_its_head(net: LgsikNet, features: torch.Tensor) -> torch.Tensor:
+    """What the second LSTMs read for the right leg."""
+    seen: list[torch.Tensor] = []
+    handle = net.second.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
+    answers(net, features, TALL)
+    handle.remove()
+    return seen[0][:, :, list(PARTS).index("right_leg")]
+
+
+def test_without_graph_convolution_the_right_leg_knows_nothing_of_the_left_legs_sensor():
+    full, plain = lgsik(), lgsik(graph=False)
+    assert len(layers(full, MaskedLinear)) == 3 and not layers(plain, MaskedLinear)
+    assert plain.first.groups == len(PARTS)
+    moved = FEATURES.clone()
+    moved[..., ATOMS["left_leg"]] += 1.0
+    for net, knows in ((full, True), (plain, False)):
+        before, after = (right_leg_before_its_head(net, x) for x in (FEATURES, moved))
+        assert torch.equal(before, after) is not knows
+
+
+def test_without_ik_heads_one_layer_answers_all_joints():
+    full, plain = lgsik(), lgsik(ik_heads=False)
+    assert len(full.last_layers()) == len(PARTS)
+    assert [layer.out_features for layer in plain.last_layers()] == [6 * len(JOINTS)]
+    six, shape = answers(plain, FEATURES, TALL)
+    assert six.shape == (2, 5, len(JOINTS), 6) and shape.shape == (2, 5, 16)
+
+
+@pytest.mark.parametrize("graph", [True, False])
+def test_without_the_shape_group_the_answer_does_not_depend_on_measurements(graph):
+    for shape_group in (True, False):
+        net = lgsik(shape_group=shape_group, graph=graph)
+        (six, shape), (short_six, short_shape) = (
+            answers(net, FEATURES, body) for body in (TALL, SHORT)
+        )
+        assert torch.equal(shape, short_shape) is not shape_group
+        # Without graph convolutions nothing brings measurements to the rotations either.
+        assert torch.equal(six, short_six) is not (shape_group and graph)
+
+
+def test_lgsik_can_be_trained_by_hmdposers_loss_and_by_no_unknown_one():
+    own, other = (
+        loss_of(task_of("lgsik", f"spec.loss={loss}")[1])[1] for loss in ("lgsik", "hmdposer")
+    )
+    published = loss_of(task_of("hmdposer")[1])[1]
+    assert {"sparse", "velocity"} < own.keys()
+    assert other.keys() == published.keys() and "acceleration" in other
+    with pytest.raises(InputError, match="there is no loss 'l3'; lgsik or hmdposer"):
+        LgsikNet(LgsikSpec(loss="l3"))
+
+
+# -- HMD-Poser -----------------------------------------------------------------------------------
+
+
+def hmdposer(**switched: Any) -> HmdPoserNet:
+    torch.manual_seed(0)
+    spec = HmdPoserSpec(size=32, blocks=1, layers=1, heads=4, feed_forward=32, head_hidden=16)
+    return HmdPoserNet(replace(spec, **switched))
+
+
+def test_without_hands_in_head_their_numbers_are_not_read():
+    full, plain = hmdposer(), hmdposer(hands_in_head=False)
+    assert len(full.embeddings) == 8 and len(plain.embeddings) == 6
+    moved = FEATURES.clone()
+    moved[..., ATOMS["left_in_head"]] += 1.0
+    for net, reads in ((full, True), (plain, False)):
+        before, after = (answers(net, x, TALL)[0] for x in (FEATURES, moved))
+        assert torch.equal(before, after) is not reads
+
+
+def test_without_a_shape_head_everybody_has_the_mean_body():
+    module, _ = task_of("hmdposer", "spec.shape_head=false")
+    _, shape = answers(module.net, FEATURES, TALL)
+    assert not shape.any()
+    assert torch.equal(module.bones(shape[0, 0]), module.template)
+    assert answers(hmdposer(), FEATURES, TALL)[1].any()
+
+
+# -- SparsePoser ---------------------------------------------------------------------------------
+
+
+def test_without_skeletal_operations_every_joint_reaches_every_joint():
+    full, _ = task_of("sparseposer")
+    plain, _ = task_of("sparseposer", "spec.skeletal=false")
+    for kind in (MaskedLinear, MaskedConv):
+        assert not all(bool(layer.mask.all()) for layer in layers(full.generator, kind))
+        assert all(bool(layer.mask.all()) for layer in layers(plain.generator, kind))
+    assert not layers(full, PlainMixing) and len(layers(plain, PlainMixing)) == 6
+    assert not [name for name, _ in plain.generator.named_buffers() if "pool" in name]
+
+
+@pytest.mark.parametrize("skeletal", [True, False])
+def test_an_unpooled_toe_hears_of_the_hands_only_without_the_skeleton(skeletal):
+    module, _ = task_of("sparseposer", f"spec.skeletal={str(skeletal).lower()}")
+    generator, channels = module.generator, 8
+    x = torch.zeros(1, 14 * channels, 4)
+    x[:, -channels:] = 1.0  # the last joint of 14 is the right wrist
+    spread = generator._spread("unpool_0", x, channels).unflatten(1, (22, channels)).detach()
+    toe, wrist = (spread[:, JOINTS.index(n)].abs().max() for n in ("left_toe", "right_wrist"))
+    assert float(wrist) > 0 and (float(toe) > 0) is not skeletal
+
+
+def test_without_regularisation_the_limbs_distance_from_the_generator_does_not_count():
+    values = "stages.ik.weights.keep"
+    totals, kept = [], 0.0
+    for weight in ("0", "1000", "2000"):
+        module, task = task_of("sparseposer", f"{values}={weight}", stage="ik")
+        torch.nn.init.ones_(module.ik["left_leg"][-1].bias)
+        total, figures = loss_of(task)
+        totals.append(float(total.detach()))
+        kept = figures["keep"]
+    assert kept > 0
+    assert totals[1] - totals[0] == pytest.approx(1000 * kept, rel=1e-3)
+    assert totals[2] - totals[1] == pytest.approx(1000 * kept, rel=1e-3)
+
+
+# -- DragPoser -----------------------------------------------------------------------------------
+
+
+def test_without_continuity_its_term_is_gone():
+    (total, figures), (less, without) = (
+        loss_of(task_of("dragposer", f"stages.vae.weights.continuity={weight}")[1])
+        for weight in ("1", "0")
+    )
+    assert "continuity" not in without
+    assert float((total - less).detach()) == pytest.approx(figures["continuity"], rel=1e-4)
+
+
+# -- parts with a stage of their own -------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("agent", "switch", "stages", "option"),
+    [
+        ("sparseposer", "learned_ik", ["generator"], "learned_ik"),
+        ("dragposer", "predictor", ["vae"], "predictor"),
+    ],
+)
+def test_the_stage_of_a_part_that_is_left_out_is_not_trained(
+    agent, switch, stages, option, library, tmp_path
+):
+    out = tmp_path / "run"
+    values = (f"spec.{switch}=false",)
+    needed = AGENTS[agent].needed(config_of(agent, *values))
+    assert list(needed.stages) == stages and needed.stages[stages[0]].share == 1.0
+    arguments = TrainArgs(
+        out=out, agent=agent, motions=library, preset="smoke", steps=1, threads=1, set=values
+    )
+    assert train(arguments) == 0
+    folder = find_system(out)
+    assert folder is not None and read_system_card(folder)["training"]["trained"] == stages
+    system = load_system(out)
+    seen = readings(MOTION, SENSOR_SETS["6T"])
+    system.reset(Body.of(MOTION), "6T")
+    assert all(system.step(seen[t]).finite() for t in range(5))
+    with pytest.raises(InputError, match="was trained without"):
+        load_system(out, **{option: True})
+
+
+# -- the command ---------------------------------------------------------------------------------
+
+
+def arguments(agent, library, out, **more) -> AblationsArgs:
+    options = {"steps": 2, "threads": 1, "preset": "smoke"} | more
+    return AblationsArgs(agent=agent, motions=library, test=library, out=out, **options)
+
+
+def test_one_command_trains_and_scores_the_full_system_and_all_variants(
+    library, tmp_path, capsys, monkeypatch
+):
+    out = tmp_path / "out"
+    assert ablations(arguments("sparseposer", library, out)) == 0
+    report = json.loads((out / "ablations.json").read_text())
+    names = ["full", *(variant.name for variant in VARIANTS["sparseposer"])]
+    assert [row["variant"] for row in report["rows"]] == names
+    assert {row["scenario"] for row in report["rows"]} == {"6"}
+    full, other = report["rows"][0], report["rows"][3]
+    apart = other["pooled"]["pos_cm"] - full["pooled"]["pos_cm"]
+    assert apart != 0 and other["differences"]["pooled"]["pos_cm"] == pytest.approx(apart)
+    assert other["parameters"] > full["parameters"]
+    assert read_system_card(out / "no-skeleton" / "ik" / "last")["spec"]["skeletal"] is False
+    # Without learned IK it is the full system's weights: nothing else is trained.
+    assert [path.name for path in (out / "no-learned-ik").iterdir()] == ["scores.json"]
+    assert report["variants"][1]["training"] == report["variants"][0]["training"]
+    page = (out / "ablations.md").read_text()
+    assert "| full | " in page and f"({apart:+.2f})" in page and "Preset `smoke`, seed 0" in page
+    with (out / "ablations.csv").open() as file:
+        lines = list(csv.DictReader(file))
+    assert len(lines) == 2 * len(names) and float(lines[0]["pos_cm_difference"]) == 0.0
+    assert "| no-skeleton | " in capsys.readouterr().out
+
+    # What is done is not done again; what is missing is.
+    (out / "no-skeleton" / "scores.json").unlink()
+    trained = []
+    monkeypatch.setattr(
+        "agents.kinematic.ablations.train", lambda args: trained.append(args.out.name) or 0
+    )
+    for name in FILES:
+        (out / name).unlink()
+    assert ablations(arguments("sparseposer", library, out, resume=True)) == 0
+    assert trained == ["no-skeleton"]
+    again = json.loads((out / "ablations.json").read_text())["rows"]
+    assert [row["pooled"]["pos_cm"] for row in again] == [
+        row["pooled"]["pos_cm"] for row in report["rows"]
+    ]
+
+
+def test_some_variants_alone_can_be_asked_for_and_the_others_added_later(library, tmp_path):
+    out = tmp_path / "out"
+    args = arguments("lgsik", library, out, steps=1, variants=("no-graph",))
+    assert ablations(args) == 0
+    rows = json.loads((out / "ablations.json").read_text())["rows"]
+    assert [(row["variant"], row["scenario"]) for row in rows] == [
+        ("full", "HMD"), ("no-graph", "HMD"), ("full", "HMD+3IMU"), ("no-graph", "HMD+3IMU"),
+    ]  # fmt: skip
+    more = replace(args, resume=True, variants=("no-graph", "hmdposer-loss"))
+    assert ablations(more) == 0
+    assert len(json.loads((out / "ablations.json").read_text())["rows"]) == 6
+    with pytest.raises(InputError, match="--steps was 1, not 3"):
+        ablations(replace(more, steps=3))
+    with pytest.raises(InputError, match="holds a run already"):
+        ablations(args)
+
+
+def test_a_stop_during_a_training_leaves_what_can_be_gone_on_with(library, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    monkeypatch.setattr("agents.kinematic.ablations.train", lambda args: 130)
+    args = arguments("dragposer", library, out)
+    assert ablations(args) == 130
+    assert not (out / "ablations.md").exists()
+    with pytest.raises(InputError, match="holds a run already; add --resume"):
+        ablations(args)
+    assert ablations(replace(args, resume=True)) == 130
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--agent", "nobody"], "no ablations of 'nobody'"),
+        (["--agent", "lgsik", "--steps", "1"], "--out: names no folder"),
+        (["--agent", "lgsik", "--out", "OUT"], "--minutes: ablations need a budget"),
+        (["--agent", "lgsik", "--out", "OUT", "--minutes", "0"], "--minutes: is 0, not above 0"),
+        (["--agent", "lgsik", "--out", "OUT", "--minutes", "-1"], "--minutes: is -1, not above"),
+        (["--agent", "lgsik", "--out", "OUT", "--steps", "0"], "--steps: is 0"),
+        (["--agent", "lgsik", "--out", "OUT", "--steps", "1", "--variants", "x"], "--variants"),
+        (["--agent", "lgsik", "--out", "OUT", "--steps", "1", "--set", "spec.x=1"], "no 'x'"),
+        (["--agent", "lgsik", "--out", "OUT", "--steps", "1", "--test", "gone.npz"], "gone.npz"),
+        (["--agent", "lgsik", "--out", "OUT", "--steps", "1", "--motions", "gone.npz"], "gone"),
+        (["--agent", "lgsik", "--out", "OUT", "--steps", "1", "--resume"], "no run to resume"),
+    ],
+)
+def test_what_cannot_be_done_is_told_in_one_line_and_leaves_nothing(
+    options, message, library, tmp_path, capsys
+):
+    out = tmp_path / "out"
+    words = [str(out) if word == "OUT" else word for word in options]
+    for option in ("--test", "--motions"):
+        words += [] if option in words else [option, library]
+    assert main(["ablations", *words]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("error: ") and told.count("\n") == 1 and message in told
+    assert not out.exists()
+
+
+def test_a_difference_is_told_where_both_have_the_figure():
+    full = Row("full", "6", 10, {}, {"pos_cm": 2.0, "ee_cm": None}, 1.0)
+    other = Row("less", "6", 5, {}, {"pos_cm": 3.5, "ee_cm": 1.0, "rot_deg": 4.0}, 1.0)
+    assert differences(other, full, "pooled") == {"pos_cm": 1.5, "ee_cm": None, "rot_deg": None}
+    training = {"network": {"steps": 1200, "minutes": 3.0}}
+    results = [Result(row.agent, "", (), {}, training, [row]) for row in (full, other)]
+    lines = table(results, "sparseposer", "pooled").splitlines()
+    assert lines[2] == "| full | 2.00 | - | - | - | - | 10 | 1,200 |"
+    assert lines[3] == "| less | 3.50 (+1.50) | 4.00 | - | 1.00 | - | 5 | 1,200 |"
