@@ -50,7 +50,7 @@ SILENT_FRAMES = 100
 """A faulty tracker returns after so many frames (DragPoser)."""
 FIGURES = {"accuracy.png": plot_accuracy, "plausibility.png": plot_plausibility}
 FILES: tuple[str, ...] = ("comparison.json", "comparison.csv", "comparison.md", *FIGURES)
-"""What a comparison writes."""
+"""What a comparison writes; ``comparison_film.FILES`` too where it is filmed."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,8 @@ def compare(
     max_clips: int | None,
     threads: int,
     seed: int,
+    video: bool = False,
+    video_clips: Sequence[str] = (),
 ) -> int:
     """Run the comparison and write its table and figures; returns the exit code.
 
@@ -109,6 +111,8 @@ def compare(
         max_clips: at most so many, of all kinds.
         threads: of the networks.
         seed: of faults and synthetic motions.
+        video: whether to film it too.
+        video_clips: names of the clips to film, of all motions; see ``comparison_film``.
 
     Raises:
         InputError: nothing to compare, or what cannot be used.
@@ -126,7 +130,13 @@ def compare(
         _check(agent)
     check_writable(out)
     torch.set_num_threads(threads)
-    recordings = chosen(load_recordings(motions, seed=seed), max_clips)
+    everything = load_recordings(motions, seed=seed)
+    recordings = chosen(everything, max_clips)
+    filmed: Sequence[Motion] = ()
+    if video:
+        from agents.comparison_film import to_be_filmed
+
+        filmed = to_be_filmed(everything if video_clips else recordings, video_clips)
     rows = [row for agent in agents for row in rows_of(agent, recordings, seed, threads)]
     context = {
         "agents": {agent: _training(agent) for agent in agents},
@@ -141,6 +151,10 @@ def compare(
             plot(rows, path)
     print(table(rows, "pooled"))
     print(f"written to {out}")
+    if filmed:
+        from agents.comparison_film import film
+
+        film(agents, filmed, out, threads)
     return 0
 
 
@@ -154,7 +168,8 @@ def chosen(motions: Sequence[Motion], count: int | None) -> list[Motion]:
     return [ordered[i] for i in picks]
 
 
-def _is_policy(agent: str) -> bool:
+def is_policy(agent: str) -> bool:
+    """Whether an agent is a torque policy and no kinematic system."""
     if agent in UNTRAINED or find_system(agent) is not None:
         return False
     try:
@@ -166,12 +181,12 @@ def _is_policy(agent: str) -> bool:
 
 def _check(agent: str) -> None:
     """Refuse what is no kinematic system, with or without physics, and no policy."""
-    if not _is_policy(agent):
+    if not is_policy(agent):
         load_system(base_of(agent) or agent)
 
 
 def _training(agent: str) -> dict[str, Any]:
-    if _is_policy(agent):
+    if is_policy(agent):
         return read_card(find_policy(agent)).get("training", {})
     folder = find_system(base_of(agent) or agent)
     return {} if folder is None else read_system_card(folder)["training"]
@@ -179,7 +194,7 @@ def _training(agent: str) -> dict[str, Any]:
 
 def rows_of(agent: str, motions: Sequence[Motion], seed: int, threads: int) -> list[Row]:
     """All rows of one agent: a system, one with physics behind it, or a torque policy."""
-    if _is_policy(agent):
+    if is_policy(agent):
         return [run_policy(agent, motions, threads)]
     base = base_of(agent)
     if base is None:
