@@ -7,7 +7,7 @@ scenario that suits it; docs/comparison.md says what they and the columns are.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,7 @@ from questsim.sensors import SENSOR_SETS
 
 FIGURES = {"accuracy.png": plot_accuracy, "plausibility.png": plot_plausibility}
 FILES: tuple[str, ...] = ("comparison.json", "comparison.csv", "comparison.md", *FIGURES)
-"""What a comparison writes."""
+"""What a comparison writes; ``comparison_film.FILES`` too where it is filmed."""
 
 
 def compare(
@@ -44,6 +44,8 @@ def compare(
     threads: int,
     seed: int,
     sensors: str | None = None,
+    video: bool = False,
+    video_clips: Sequence[str] = (),
 ) -> int:
     """Run the comparison and write its table and figures; returns the exit code.
 
@@ -55,6 +57,8 @@ def compare(
         threads: that compute side by side.
         seed: of faults and synthetic motions.
         sensors: only with these, a set by name; by default with all that an agent can use.
+        video: whether to film it too.
+        video_clips: names of the clips to film, of all motions; see ``comparison_film``.
 
     Raises:
         InputError: nothing to compare, or what cannot be used.
@@ -68,7 +72,13 @@ def compare(
         raise InputError("a comparison needs a folder", "--compare", "add --out DIR")
     planned = plan(agents, sensors)
     check_writable(out)
-    recordings = chosen(load_recordings(motions, seed=seed), max_clips)
+    everything = load_recordings(motions, seed=seed)
+    recordings = chosen(everything, max_clips)
+    filmed: Sequence[Motion] = ()
+    if video:
+        from agents.comparison_film import to_be_filmed
+
+        filmed = to_be_filmed(everything if video_clips else recordings, video_clips)
     with workers(threads) as mapper:
         rows = [run_recording(recordings, mapper)]
         for agent, scenarios in planned.items():
@@ -89,6 +99,10 @@ def compare(
     for names in (*TABLES.values(), COSTS):
         print(table(rows, names), end="\n\n")
     print(f"written to {out}")
+    if filmed:
+        from agents.comparison_film import film
+
+        film(agents or representative(planned), filmed, out, threads)
     return 0
 
 
@@ -126,6 +140,16 @@ def everyone() -> list[str]:
     policies = sorted(path.parent.name for path in SHIPPED.glob(f"*/{POLICY_CARD}"))
     apart = [name for name in policies if name != "demo" and not load_agent(name).needs.privileged]
     return [*systems, *(name + SUFFIX for name in systems), *apart]
+
+
+def representative(agents: Iterable[str]) -> list[str]:
+    """Of all agents as many as a picture holds: the systems, one with physics, one policy."""
+    return [
+        agent
+        for agent in agents
+        if agent in ("hmdposer" + SUFFIX, "questsim")
+        or not (is_policy(agent) or base_of(agent) is not None)
+    ]
 
 
 def chosen(motions: Sequence[Motion], count: int | None) -> list[Motion]:

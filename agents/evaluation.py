@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -24,9 +24,13 @@ from questsim.evaluation_report import check_writable, format_table, write_repor
 from questsim.metrics import Rollout
 from questsim.metrics import evaluate as score
 from questsim.motion.clip import FPS, Clip
+from questsim.motion.motion import Motion
 from questsim.skeleton import NUM_DOFS, NUM_LINKS
 from questsim.things import Thing
 
+T = TypeVar("T", Clip, Motion, Rollout)
+FILMED_CLIPS = 4
+"""Clips in a video where none are named."""
 BATCH_CLIPS = 320
 """At most this many clips are simulated at once: recordings of more would fill the memory."""
 
@@ -55,7 +59,9 @@ class EvaluateArgs:
     out: Path | None = None
     """Folder for metrics.json, clips.csv and plots."""
     video: bool = False
-    """Also write a video of avatar beside reference."""
+    """Also write a video of avatar beside reference; with --compare, of all agents side by side."""
+    video_clips: tuple[str, ...] = ()
+    """Names of the clips that the video shows; by default four of different kinds."""
     scorecard: bool = False
     """Evaluate the agent and its shipped variants at all heights against the project's bars."""
     max_clips: int | None = None
@@ -82,18 +88,15 @@ def evaluate(args: EvaluateArgs) -> int:
     """
     from questsim.motion.spec import load_motions
 
+    if args.video_clips and not args.video:
+        raise InputError("there is no video to show them", "--video-clips", "add --video")
     if args.compare:
         from agents.comparison import compare
 
         return compare(
-            args.agents,
-            args.motions,
-            args.out,
-            args.max_clips,
-            args.threads,
-            args.seed,
-            args.sensors,
-        )
+            args.agents, args.motions, args.out, args.max_clips, args.threads, args.seed,
+            args.sensors, args.video, args.video_clips,
+        )  # fmt: skip
     at_least(1, threads=args.threads, max_clips=args.max_clips)
     at_least(0, seed=args.seed)
     if args.video and args.out is None:
@@ -123,6 +126,7 @@ def evaluate(args: EvaluateArgs) -> int:
         return _worlds(args, agent, clips, config)
     if args.max_clips is not None:
         clips = choose_clips(clips, args.max_clips)
+    _filmed(args, clips)
     return _report(args, agent, clips, config, roll_out(agent, clips, config, args.threads))
 
 
@@ -138,6 +142,7 @@ def _physics(args: EvaluateArgs) -> int:
             raise InputError(f"does not go with {args.agent}", f"--{option.replace('_', '-')}")
     scenario = suiting(args.agent, None)[0]
     motions = chosen(load_recordings(args.motions, seed=args.seed), args.max_clips)
+    _filmed(args, motions)
     base = base_of(args.agent) or args.agent
     with workers(args.threads) as mapper:
         references = list(mapper(reference, [(base, scenario, motion, 0) for motion in motions]))
@@ -161,8 +166,22 @@ def _report(
     print(format_table(write_report(rollouts, args.out, context)))
     print(f"written to {args.out}")
     if args.video:
-        _film(rollouts, args.out / "rollouts.mp4", config)
+        rollouts = _filmed(args, rollouts)
+        _film(rollouts, args.out / "rollouts.mp4", config, len(args.video_clips) or FILMED_CLIPS)
     return 0
+
+
+def _filmed(args: EvaluateArgs, clips: list[T]) -> list[T]:
+    """Those that ``--video-clips`` names, or all to choose from.
+
+    Raises:
+        InputError: there is none of a name.
+    """
+    if not args.video_clips:
+        return clips
+    from questsim.viewing.films import named
+
+    return named(clips, args.video_clips, "--video-clips")
 
 
 def evaluation_context(
@@ -344,13 +363,13 @@ def _roll_out_batch(
     return rollouts
 
 
-def _film(rollouts: list[Rollout], path: Path, config: EnvConfig) -> None:
+def _film(rollouts: list[Rollout], path: Path, config: EnvConfig, count: int) -> None:
     """Write the video, or say in one line why there is none."""
     from questsim.viewing.films import rollout_video
     from questsim.viewing.gl import NoGLError
 
     try:
         ground = None if config.terrain is None else height_field(config.terrain)
-        print(f"written to {rollout_video(rollouts, path, ground=ground)}")
+        print(f"written to {rollout_video(rollouts, path, max_clips=count, ground=ground)}")
     except NoGLError as error:
         print(f"video skipped: {error}", file=sys.stderr)

@@ -13,7 +13,6 @@ from __future__ import annotations
 import statistics
 import sys
 
-import numpy as np
 import torch
 
 from agents.kinematic.data import MotionBank
@@ -94,7 +93,7 @@ def _streamed(
 ) -> list[float]:
     """Seconds of each frame but the first few, in which a stream settles."""
     system.reset(body, sequence.names)
-    told = [sequence[t] for t in np.arange(min(frames, len(sequence)))]
+    told = [sequence[t] for t in range(min(frames, len(sequence)))]
     return [seconds(lambda frame=frame: system.step(frame)) for frame in told][5:]
 
 

@@ -9,6 +9,7 @@ import torch
 
 from agents.kinematic.constraints import joint_distance, weighted
 from agents.kinematic.data import MotionBank
+from agents.kinematic.drag_model import DragModel
 from agents.kinematic.drag_solver import LOST_FRAMES, DragPoser
 from agents.kinematic.dragposer import PAST, DragPoserModule, joints_from_root
 from agents.kinematic.features import DEVICES, features
@@ -385,6 +386,68 @@ def test_decoded_joints_are_those_of_forward_kinematics():
     position = torch.as_tensor(MOTION.forward_kinematics()[0][:3], dtype=torch.float32)
     want = diff.quat_rotate(root, position - position[:, :1])
     assert torch.allclose(joints_from_root(seen_from_root, offsets), want, atol=1e-5)
+
+
+def some_unknowns():
+    """A model with a decoder of some size, unknowns, the root's turn and place before."""
+    module, generator = module_of("dragposer"), np.random.default_rng(0)
+    turn = rot.yaw_quat(np.array(0.7))
+    return DragModel(module), module, generator.normal(size=30), turn, generator.normal(size=3)
+
+
+def test_the_solvers_pose_is_that_of_the_decoder_and_forward_kinematics():
+    model, module, unknowns, turn, root = some_unknowns()
+    figure = model.figure(unknowns, turn, root, BODY.offsets)
+    with torch.no_grad():
+        decoded = module.double().decode(torch.as_tensor(unknowns[None, :24]))
+    local, moved = decoded.rotation[0].numpy(), decoded.displacement[0].numpy()
+    half = np.array([1.0, *0.5 * unknowns[27:]])
+    own = rot.quat_multiply(rot.quat_multiply(turn, local[0]), half / np.linalg.norm(half))
+    place = root + rot.quat_rotate(turn, moved) + unknowns[24:27]
+    joints = joints_from_root(decoded.rotation[0], torch.as_tensor(BODY.offsets)).numpy()
+    np.testing.assert_allclose(figure.position, place + rot.quat_rotate(own, joints), atol=1e-9)
+    np.testing.assert_allclose(figure.quat[0], own, atol=1e-9)
+    np.testing.assert_allclose(figure.quat[1:], rot.quat_multiply(own, local[1:]), atol=1e-9)
+
+
+def test_the_solvers_derivatives_are_those_of_differences():
+    model, _, unknowns, turn, root = some_unknowns()
+    figure = model.figure(unknowns, turn, root, BODY.offsets, slopes=True)
+    for k in range(30):
+        nudge = 1e-5 * np.eye(30)[k]
+        a, b = (model.figure(unknowns + s * nudge, turn, root, BODY.offsets) for s in (1, -1))
+        np.testing.assert_allclose(
+            figure.d_position[..., k], (a.position - b.position) / 2e-5, atol=1e-7
+        )
+        np.testing.assert_allclose(figure.d_quat[..., k], (a.quat - b.quat) / 2e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("sensors", ["6T", "3T"])
+def test_the_solvers_residuals_change_as_their_derivatives_say(sensors):
+    system, seen = DragPoser(module_of("dragposer"), predictor=False), stream(sensors, 2)
+    system.constraints = (joint_distance("left_knee", "right_knee", 1.0),)
+    goals, original = [], system._goal
+    system._goal = lambda signals: (goals.append(original(signals)), goals[-1])[1]
+    system.predict(seen, BODY)
+    unknowns = np.random.default_rng(0).normal(size=30)
+    _, jacobian = system._residuals(unknowns, goals[-1], slopes=True)
+    # Head and hands: ankles near the floor, the hip below the head.
+    assert len(jacobian) == 30 + 1 + (6 * 6 if sensors == "6T" else 3 * 6 + 1 + 2)
+    for k in range(30):
+        nudge = 1e-5 * np.eye(30)[k]
+        a, b = (system._residuals(unknowns + s * nudge, goals[-1])[0] for s in (1, -1))
+        np.testing.assert_allclose(jacobian[:, k], (a - b) / 2e-5, atol=1e-6)
+
+
+def test_a_constraint_without_a_slope_does_not_stop_the_solver():
+    module, seen = module_of("dragposer"), stream("6T", 3)
+
+    def steep(position, quat):
+        return (position[:, 0, 0] * 0.0).sqrt()  # zero, of infinite slope
+
+    free = DragPoser(module, predictor=False).predict(seen, BODY)
+    asked = DragPoser(module, predictor=False, constraints=(steep,)).predict(seen, BODY)
+    np.testing.assert_allclose(asked.rotations, free.rotations, atol=1e-6)
 
 
 # -- inverse kinematics --------------------------------------------------------------------------

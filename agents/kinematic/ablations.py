@@ -16,8 +16,10 @@ from typing import Any, Literal, cast
 
 import torch
 
-from agents.comparison import chosen, run, scenarios
+from agents.comparison import chosen
 from agents.comparison_report import Row
+from agents.comparison_run import run
+from agents.comparison_scenarios import scenarios
 from agents.kinematic.ablation_report import Result, table, write
 from agents.kinematic.data import motions_record
 from agents.kinematic.learning import Config

@@ -13,20 +13,14 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from agents.kinematic.constraints import Constraint
-from agents.kinematic.dragposer import (
-    HEIGHT_JOINTS,
-    LATENT,
-    PAST,
-    TOKEN_EVERY,
-    DragPoserModule,
-    joints_from_root,
-)
+from agents.kinematic.drag_model import UNKNOWNS, DragModel, Figure, left_matrix
+from agents.kinematic.dragposer import HEIGHT_JOINTS, LATENT, PAST, TOKEN_EVERY, DragPoserModule
 from agents.kinematic.interface import Body, KinematicSystem, Poses, Signals
-from questsim import differentiable as diff
 from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.sensors import DEVICES as WORN
@@ -57,13 +51,13 @@ LOST_M, LOST_FRAMES = 0.10, 6
 BETTER, PATIENCE = 0.7, 60
 """... where that brings them this much nearer, and at most once in so many frames."""
 FIRST_ITERATIONS = 40
-UNKNOWNS = LATENT + 6
-_NUDGE = 1e-6
+
+_UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 @dataclass
 class Goal:
-    """What one frame asks for, in float64.
+    """What one frame asks for.
 
     Attributes:
         joints: indices of the joints whose trackers report.
@@ -75,21 +69,13 @@ class Goal:
     """
 
     joints: list[int]
-    position: Tensor
-    quat: Tensor
-    weights: Tensor
-    predicted: Tensor
+    position: np.ndarray
+    quat: np.ndarray
+    weights: np.ndarray
+    predicted: np.ndarray
     prediction_weight: float
-    root: Tensor
-    turn: Tensor
-
-
-@dataclass(frozen=True)
-class Figure:
-    """Poses ``B`` of unknowns: world positions, world orientations, root and its orientation."""
-
-    position: Tensor
-    quat: Tensor
+    root: np.ndarray
+    turn: np.ndarray
 
 
 class DragPoser(KinematicSystem):
@@ -129,10 +115,10 @@ class DragPoser(KinematicSystem):
             )
         if predictor and module.predictor is None:
             raise InputError("was trained without a predictor", name, "leave predictor out")
-        # Differences of a millionth need float64; the networks are small.
         self.module = copy.deepcopy(module).double().eval()
         for parameter in self.module.parameters():
             parameter.requires_grad_(False)
+        self.model = DragModel(self.module)
         self.use_predictor, self.rotations = predictor, rotations
         self.constraints = tuple(constraints)
 
@@ -152,14 +138,13 @@ class DragPoser(KinematicSystem):
         return "three or more of " + ", ".join(DEVICES)
 
     def _begin(self, body: Body) -> None:
-        self._offsets = torch.as_tensor(body.offsets, dtype=torch.float64)
-        drop = -self._offsets[[JOINTS.index("left_toe"), JOINTS.index("right_toe")], 2].mean()
-        self._ankle_rise = float(drop.clamp_min(0.0)) + ANKLE_RISE_M
-        self._latent: Tensor | None = None
-        self._root, self._turn = torch.zeros(3).double(), torch.tensor([1.0, 0, 0, 0]).double()
+        drop = -body.offsets[[JOINTS.index("left_toe"), JOINTS.index("right_toe")], 2].mean()
+        self._ankle_rise = max(float(drop), 0.0) + ANKLE_RISE_M
+        self._latent: np.ndarray | None = None
+        self._root, self._turn = np.zeros(3), _UPRIGHT
         self._lost_for = 0
         self._tokens: deque[Tensor] = deque(maxlen=PAST)
-        self._coming: tuple[Tensor, Tensor] | None = None
+        self._coming: tuple[np.ndarray, np.ndarray] | None = None
         self._since = 0
         self._token_root, self._token_turn = self._root, self._turn
 
@@ -175,30 +160,30 @@ class DragPoser(KinematicSystem):
             unknowns = self._start(goal)
             iterations = max(iterations, FIRST_ITERATIONS)
         else:
-            unknowns = torch.cat([self._latent, torch.zeros(6).double()])
+            unknowns = np.concatenate([self._latent, np.zeros(6)])
         unknowns = self._solve(unknowns, goal, iterations)
         unknowns = self._found_again(unknowns, goal)
-        figure = self._figure(unknowns[None], goal)
+        figure = self._figure(unknowns, goal)
         self._latent = unknowns[:LATENT]
-        self._root, self._turn = figure.position[0, 0], figure.quat[0, 0]
+        self._root, self._turn = figure.position[0].copy(), figure.quat[0].copy()
         self._note_token(figure)
-        quat = figure.quat[0].numpy()
+        quat = figure.quat
         local = rot.quat_multiply(rot.quat_conjugate(quat[list(JOINT_PARENTS)]), quat)
         local[0] = quat[0]
-        return Poses(figure.position[0, :1].numpy().copy(), local[None], self._body.offsets[None])
+        return Poses(figure.position[:1].copy(), local[None], self._body.offsets[None])
 
     def _goal(self, signals: Signals) -> Goal:
         shown = [i for i in range(len(self._mounts)) if signals.present[0, i]]
         joints = [self._mounts[i].joint for i in shown]
         weights = [HIP_WEIGHTS if joint == HIP else OTHER_WEIGHTS for joint in joints]
-        wanted = torch.tensor(weights, dtype=torch.float64).reshape(-1, 2)
+        wanted = np.reshape(np.array(weights), (-1, 2))
         if not self.rotations:
             wanted[:, 1] = 0.0
-        latent = self._latent if self._latent is not None else torch.zeros(LATENT).double()
+        latent = self._latent if self._latent is not None else np.zeros(LATENT)
         return Goal(
             joints=joints,
-            position=torch.as_tensor(signals.position[0, shown], dtype=torch.float64),
-            quat=torch.as_tensor(signals.quat[0, shown], dtype=torch.float64),
+            position=signals.position[0, shown],
+            quat=signals.quat[0, shown],
             weights=wanted,
             predicted=self._expected(latent),
             prediction_weight=PREDICTION_WEIGHTS[min(max(len(joints), 3), 6)],
@@ -206,121 +191,88 @@ class DragPoser(KinematicSystem):
             turn=self._turn,
         )
 
-    def _start(self, goal: Goal) -> Tensor:
+    def _start(self, goal: Goal) -> np.ndarray:
         """A mean pose where the hip's tracker is, or under the head, or where any tracker is."""
-        unknowns = torch.zeros(UNKNOWNS).double()
+        unknowns = np.zeros(UNKNOWNS)
         anchor = HIP if HIP in goal.joints else HEAD if HEAD in goal.joints else goal.joints[0]
         at = goal.joints.index(anchor)
-        yaw = diff.heading_matrix(diff.quat_to_matrix(goal.quat[at : at + 1]))
-        goal.turn = diff.matrix_to_quat(yaw)[0] if anchor != HIP else goal.quat[at]
-        goal.root = torch.zeros(3).double()
-        figure = self._figure(unknowns[None], goal)
-        goal.root = goal.position[at] - figure.position[0, anchor]
+        goal.turn = goal.quat[at] if anchor == HIP else rot.yaw_quat(rot.heading(goal.quat[at]))
+        goal.root = np.zeros(3)
+        goal.root = goal.position[at] - self._figure(unknowns, goal).position[anchor]
         return unknowns
 
-    def _figure(self, unknowns: Tensor, goal: Goal) -> Figure:
-        """Poses of unknowns ``(B, 30)``: latent, the root's own move and its own turn."""
-        decoded = self.module.decode(unknowns[:, :LATENT])
-        move, turn = unknowns[:, LATENT : LATENT + 3], unknowns[:, LATENT + 3 :]
-        half = torch.cat([torch.ones_like(turn[:, :1]), 0.5 * turn], dim=-1)
-        before = goal.turn.expand(len(unknowns), 4)
-        own = diff.quat_multiply(before, decoded.rotation[:, 0])
-        own = diff.quat_multiply(own, diff.unit_quat(half))
-        root = goal.root + diff.quat_rotate(before, decoded.displacement) + move
-        joints = joints_from_root(decoded.rotation, self._offsets)
-        matrix = diff.quat_to_matrix(own)
-        position = root[:, None] + joints @ matrix.transpose(-1, -2)
-        whole = diff.quat_multiply(*torch.broadcast_tensors(own[:, None], decoded.rotation))
-        return Figure(position, torch.cat([own[:, None], whole[:, 1:]], dim=1))
+    def _figure(self, unknowns: np.ndarray, goal: Goal, slopes: bool = False) -> Figure:
+        return self.model.figure(unknowns, goal.turn, goal.root, self._body.offsets, slopes)
 
-    def _residuals(self, unknowns: Tensor, goal: Goal) -> Tensor:
-        """``(B, R)``: their squared sum is the loss of unknowns ``(B, 30)``."""
-        figure = self._figure(unknowns, goal)
-        count = max(len(goal.joints), 1)
-        parts = []
+    def _residuals(
+        self, unknowns: np.ndarray, goal: Goal, slopes: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """``(R,)`` whose squared sum is the loss, and their derivatives ``(R, 30)``.
+
+        Without ``slopes`` the derivatives have no columns.
+        """
+        figure = self._figure(unknowns, goal, slopes)
+        parts = [(unknowns - _held(goal), np.eye(UNKNOWNS)[:, : figure.columns], _hold(goal))]
         if goal.joints:
-            apart = figure.position[:, goal.joints] - goal.position
-            turned = diff.quat_multiply(
-                diff.quat_conjugate(goal.quat).expand(len(unknowns), -1, -1),
-                figure.quat[:, goal.joints],
-            )
-            turned = turned[..., 1:] * torch.where(turned[..., :1] < 0, -2.0, 2.0)
-            for difference, weight in zip((apart, turned), goal.weights.T, strict=True):
-                scale = (weight / (3.0 * count)).sqrt()
-                parts.append((difference * scale[:, None]).flatten(1))
-        away = unknowns[:, :LATENT] - goal.predicted
-        parts.append(away * (goal.prediction_weight / LATENT) ** 0.5)
-        for weight, own in zip(ROOT_WEIGHTS, unknowns[:, LATENT:].chunk(2, -1), strict=True):
-            parts.append(own * (weight / 3.0) ** 0.5)
+            parts += _off_trackers(figure, goal)
         if HIP not in goal.joints:
-            low = figure.position[:, ANKLES, 2].min(dim=1, keepdim=True).values - self._ankle_rise
-            parts.append(low * FLOOR_WEIGHT**0.5)
+            foot = ANKLES[int(figure.position[ANKLES, 2].argmin())]
+            low = figure.position[[foot], 2] - self._ankle_rise
+            parts.append((low, figure.d_position[[foot], 2], np.sqrt([FLOOR_WEIGHT])))
             if HEAD in goal.joints:
-                head = goal.position[goal.joints.index(HEAD), :2]
-                parts.append((figure.position[:, HIP, :2] - head) * UNDER_HEAD_WEIGHT**0.5)
-        for constraint in self.constraints:
-            parts.append((constraint(figure.position, figure.quat)[:, None] + 1e-12).sqrt())
-        return torch.cat(parts, dim=-1)
+                off = figure.position[HIP, :2] - goal.position[goal.joints.index(HEAD), :2]
+                parts.append((off, figure.d_position[HIP, :2], np.sqrt([UNDER_HEAD_WEIGHT])))
+        parts += [_asked(constraint, figure) for constraint in self.constraints]
+        values = [(value * weight).ravel() for value, _, weight in parts]
+        rows = [
+            (slope * weight[..., None]).reshape(value.size, figure.columns)
+            for value, slope, weight in parts
+        ]
+        return np.concatenate(values), np.concatenate(rows)
 
     # -- solvers ---------------------------------------------------------------------------
 
-    def _solve(self, unknowns: Tensor, goal: Goal, iterations: int) -> Tensor:
+    def _solve(self, unknowns: np.ndarray, goal: Goal, iterations: int) -> np.ndarray:
         if self.solver == "adam":
             return self._adam(unknowns, goal, iterations)
         damping = 1e-4
-        residual = self._residuals(unknowns[None], goal)[0]
-        loss = residual.square().sum()
-        steps = torch.eye(UNKNOWNS).double() * _NUDGE
         for _ in range(iterations):
-            nudged = self._residuals(unknowns + steps, goal)
-            jacobian = ((nudged - residual) / _NUDGE).T
+            residual, jacobian = self._residuals(unknowns, goal, slopes=True)
+            loss = residual @ residual
             square, slope = jacobian.T @ jacobian, jacobian.T @ residual
+            tried, new, better = unknowns, residual, False
             for _ in range(4):
-                held = square + damping * torch.eye(UNKNOWNS).double()
-                step = torch.linalg.solve(held, slope)
-                tried = unknowns - step
-                new = self._residuals(tried[None], goal)[0]
-                better = new.square().sum() < loss
+                tried = unknowns - np.linalg.solve(square + damping * np.eye(UNKNOWNS), slope)
+                new, _ = self._residuals(tried, goal)
+                better = new @ new < loss
                 if better:
                     break
                 damping *= 10.0
             if not better:
                 break
-            gained = loss - new.square().sum()
-            unknowns, residual, loss = tried, new, loss - gained
+            unknowns, gained = tried, loss - new @ new
             damping = max(damping / 5.0, 1e-8)
-            if gained < 1e-4 * loss:
+            if gained < 1e-4 * (loss - gained):
                 break
         return unknowns
 
-    def _adam(self, unknowns: Tensor, goal: Goal, iterations: int) -> Tensor:
+    def _adam(self, unknowns: np.ndarray, goal: Goal, iterations: int) -> np.ndarray:
         """The published way: Adam, until trackers are near enough."""
-        with torch.enable_grad():
-            free = unknowns.clone().requires_grad_()
-            optimiser = torch.optim.Adam([free], lr=ADAM_RATE)
-            for _ in range(iterations):
-                optimiser.zero_grad()
-                loss = self._residuals(free[None], goal).square().sum()
-                loss.backward()
-                optimiser.step()
-                with torch.no_grad():
-                    figure = self._figure(free[None], goal)
-                    if goal.joints and self._near(figure, goal):
-                        break
-        return free.detach()
+        free = torch.from_numpy(unknowns.copy())
+        optimiser = torch.optim.Adam([free], lr=ADAM_RATE)
+        for _ in range(iterations):
+            residual, jacobian = self._residuals(free.numpy(), goal, slopes=True)
+            free.grad = torch.from_numpy(2.0 * jacobian.T @ residual)
+            optimiser.step()
+            if goal.joints and _near(self._figure(free.numpy(), goal), goal):
+                break
+        return free.numpy()
 
-    @staticmethod
-    def _near(figure: Figure, goal: Goal) -> bool:
-        apart = (figure.position[0, goal.joints] - goal.position).square().mean()
-        dot = (figure.quat[0, goal.joints] * goal.quat).sum(-1).abs()
-        return bool(apart <= GOOD_POSITION) and bool((1.0 - dot).mean() <= GOOD_ROTATION)
-
-    def _found_again(self, unknowns: Tensor, goal: Goal) -> Tensor:
+    def _found_again(self, unknowns: np.ndarray, goal: Goal) -> np.ndarray:
         """The same unknowns, or those of a new beginning where the trackers have been lost."""
         if not goal.joints:
             return unknowns
-        figure = self._figure(unknowns[None], goal)
-        off = (figure.position[0, goal.joints] - goal.position).norm(dim=-1).mean()
+        off = _mean_distance(self._figure(unknowns, goal), goal)
         # The first frame, and a device that comes back, may be far off at once.
         self._lost_for = self._lost_for + 1 if off > LOST_M else 0
         if self._lost_for < LOST_FRAMES:
@@ -330,10 +282,9 @@ class DragPoser(KinematicSystem):
         if HIP not in goal.joints and HEAD not in goal.joints:
             return unknowns
         fresh = copy.copy(goal)
-        fresh.predicted = torch.zeros(LATENT).double()
+        fresh.predicted = np.zeros(LATENT)
         again = self._solve(self._start(fresh), fresh, FIRST_ITERATIONS)
-        moved = self._figure(again[None], fresh)
-        if (moved.position[0, goal.joints] - goal.position).norm(dim=-1).mean() < BETTER * off:
+        if _mean_distance(self._figure(again, fresh), goal) < BETTER * off:
             self._tokens.clear()
             self._coming, self._since = None, 0
             goal.root, goal.turn = fresh.root, fresh.turn
@@ -342,7 +293,7 @@ class DragPoser(KinematicSystem):
 
     # -- what to expect --------------------------------------------------------------------
 
-    def _expected(self, latent: Tensor) -> Tensor:
+    def _expected(self, latent: np.ndarray) -> np.ndarray:
         """The latent expected now: on the way to the predicted one, or the last."""
         if self._coming is None:
             return latent
@@ -356,13 +307,73 @@ class DragPoser(KinematicSystem):
             return
         assert self._latent is not None and self.module.predictor is not None
         moved = self._root - self._token_root
-        moved = diff.quat_rotate(diff.quat_conjugate(self._token_turn), moved)
+        moved = rot.quat_rotate(rot.quat_conjugate(self._token_turn), moved)
         if not self._tokens:
-            moved = torch.zeros_like(moved)
-        heights = figure.position[0, list(HEIGHT_JOINTS), 2]
-        token = torch.cat([self._latent, moved, heights])
+            moved = np.zeros_like(moved)
+        heights = figure.position[list(HEIGHT_JOINTS), 2]
+        token = torch.from_numpy(np.concatenate([self._latent, moved, heights]))
         mean, std = self.module.token_mean, self.module.token_std
         self._tokens.append((token - mean) / std)
         self._token_root, self._token_turn, self._since = self._root, self._turn, 0
         answer = self.module.predictor(torch.stack(list(self._tokens))[None], 1)[0, 0]
-        self._coming = (self._latent, answer * std[:LATENT] + mean[:LATENT])
+        self._coming = (self._latent, (answer * std[:LATENT] + mean[:LATENT]).numpy())
+
+
+# -- what a frame asks for -------------------------------------------------------------------
+
+_Part = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Numbers to be brought to zero, their derivatives in one axis more, their weights' roots."""
+
+
+def _held(goal: Goal) -> np.ndarray:
+    """``(30,)`` what the unknowns are held to: the latent expected, the root as decoded."""
+    return np.concatenate([goal.predicted, np.zeros(UNKNOWNS - LATENT)])
+
+
+def _hold(goal: Goal) -> np.ndarray:
+    """``(30,)`` roots of the weights with which they are."""
+    weights = [goal.prediction_weight / LATENT, *(weight / 3.0 for weight in ROOT_WEIGHTS)]
+    return np.repeat(np.sqrt(weights), [LATENT, 3, 3])
+
+
+def _off_trackers(figure: Figure, goal: Goal) -> list[_Part]:
+    """Metres, and twice the vector parts of the turns, that joints are off their trackers."""
+    scales = np.sqrt(goal.weights / (3.0 * len(goal.joints)))
+    back = left_matrix(rot.quat_conjugate(goal.quat))
+    turned = (back @ figure.quat[goal.joints][..., None])[..., 0]
+    twice = np.where(turned[:, :1] < 0, -2.0, 2.0)
+    return [
+        (
+            figure.position[goal.joints] - goal.position,
+            figure.d_position[goal.joints],
+            scales[:, :1],
+        ),
+        (turned[:, 1:], (back @ figure.d_quat[goal.joints])[:, 1:], twice * scales[:, 1:]),
+    ]
+
+
+def _asked(constraint: Constraint, figure: Figure) -> _Part:
+    """The root of a user's loss; where it has no slope, none is followed."""
+    position = torch.from_numpy(figure.position)[None].requires_grad_()
+    quat = torch.from_numpy(figure.quat)[None].requires_grad_()
+    with torch.enable_grad():
+        root = (constraint(position, quat)[0] + 1e-12).sqrt()
+    slope = np.zeros((1, figure.columns))
+    if figure.columns and root.requires_grad:
+        found = torch.autograd.grad(root, [position, quat], allow_unused=True)
+        for each, change in zip(found, (figure.d_position, figure.d_quat), strict=True):
+            if each is not None:
+                each = np.nan_to_num(each[0].numpy(), posinf=0.0, neginf=0.0)
+                slope += np.tensordot(each, change, axes=2)
+    return np.array([float(root.detach())]), slope, np.ones(1)
+
+
+def _near(figure: Figure, goal: Goal) -> bool:
+    apart = ((figure.position[goal.joints] - goal.position) ** 2).mean()
+    dot = np.abs((figure.quat[goal.joints] * goal.quat).sum(-1))
+    return bool(apart <= GOOD_POSITION) and bool((1.0 - dot).mean() <= GOOD_ROTATION)
+
+
+def _mean_distance(figure: Figure, goal: Goal) -> float:
+    """Metres that the joints are off their trackers."""
+    return float(np.linalg.norm(figure.position[goal.joints] - goal.position, axis=-1).mean())

@@ -81,6 +81,11 @@ def follow_poses(
     ]
 
 
+def performed(rollout: Rollout) -> Clip:
+    """What the avatar did, until it was lost."""
+    return clip_from_qpos(rollout.name, rollout.qpos[: rollout.scored_frames], rollout.height_m)
+
+
 def avatar_samples(clip: Clip, truth: Clip, ends: Sequence[int] = ENDS) -> dict[str, np.ndarray]:
     """``pose_samples`` of two clips of the avatar on its 22 joints, and the force on the root.
 
@@ -101,6 +106,4 @@ def avatar_samples(clip: Clip, truth: Clip, ends: Sequence[int] = ENDS) -> dict[
 def rollout_samples(rollout: Rollout, ends: Sequence[int] = ENDS) -> dict[str, np.ndarray]:
     """``avatar_samples`` of a rollout until it was lost, and whether it never was, in percent."""
     success = {"success_percent": np.array([100.0 * rollout.completed])}
-    qpos = rollout.qpos[: rollout.scored_frames]
-    performed = clip_from_qpos(rollout.name, qpos, rollout.height_m)
-    return avatar_samples(performed, rollout.reference, ends) | success
+    return avatar_samples(performed(rollout), rollout.reference, ends) | success

@@ -22,12 +22,14 @@ class Camera:
         distance: metres from the camera to ``lookat``.
         azimuth_deg: direction of view on the floor; 0 looks along +x, 90 along +y.
         elevation_deg: negative looks down.
+        fovy_deg: vertical field of view.
     """
 
     lookat: np.ndarray
     distance: float
     azimuth_deg: float
     elevation_deg: float = -12.0
+    fovy_deg: float = FOVY_DEG
 
     def axes(self) -> np.ndarray:
         """Unit vectors right, up and forward in the world, as rows ``(3, 3)``."""
@@ -46,7 +48,7 @@ class Camera:
         """Pixels from the top left ``(..., 2)`` of points ``(..., 3)``; NaN behind the camera."""
         right, up, forward = np.moveaxis((points - self.lookat) @ self.axes().T, -1, 0)
         depth = forward + self.distance
-        focal = height / 2.0 / np.tan(np.radians(FOVY_DEG) / 2.0)
+        focal = height / 2.0 / np.tan(np.radians(self.fovy_deg) / 2.0)
         scale = focal / np.where(depth > 1e-3, depth, np.nan)
         return np.stack([width / 2.0 + right * scale, height / 2.0 - up * scale], axis=-1)
 
@@ -68,6 +70,7 @@ def follow(
     aspect: float,
     smoothing_frames: float,
     margin: float = 0.84,
+    fovy_deg: float = FOVY_DEG,
 ) -> list[Camera]:
     """A camera for each frame: it glides along with the root and keeps all points in the picture.
 
@@ -78,14 +81,15 @@ def follow(
         aspect: width of the picture over its height.
         smoothing_frames: standard deviation of the smoothing, both ways in time; 0 for none.
         margin: the part of the picture that the points may fill.
+        fovy_deg: vertical field of view.
     """
     path = np.array(root, float)
     if smoothing_frames > 0:
         path[:, :2] = gaussian_filter1d(path[:, :2], smoothing_frames, axis=0, mode="nearest")
     path[:, 2] = (points[..., 2].min() + points[..., 2].max()) / 2.0
-    camera = Camera(path[0], 0.0, azimuth_deg)
+    camera = Camera(path[0], 0.0, azimuth_deg, fovy_deg=fovy_deg)
     right, up, forward = np.moveaxis((points - path[:, None]) @ camera.axes().T, -1, 0)
-    tangent = np.tan(np.radians(FOVY_DEG) / 2.0) * margin
+    tangent = np.tan(np.radians(fovy_deg) / 2.0) * margin
     needed = np.maximum(np.abs(right) / (tangent * aspect), np.abs(up) / tangent) - forward
     distance = max(float(needed.max()), 2.0)
     return [replace(camera, lookat=p, distance=distance) for p in path]

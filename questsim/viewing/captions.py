@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
@@ -49,6 +51,52 @@ def caption(
         draw.rounded_rectangle((x, y, x + width, y + height), radius=pad, fill=_PAPER)
         ink = ALARM if alarm and corner == "bottom left" else INK
         draw.text((x + pad, y + height / 2), text, font=font(size), fill=ink, anchor="lm")
+    return np.asarray(image)
+
+
+@dataclass(frozen=True)
+class Label:
+    """Lines of text on one light label, centred.
+
+    Attributes:
+        x: of the middle, in pixels.
+        lines: from top to bottom; the first is larger.
+        colour: of a bar above the lines, as red, green and blue in 0 to 255.
+        alarm: whether the last line is printed in red.
+    """
+
+    x: float
+    lines: tuple[str, ...]
+    colour: tuple[int, int, int]
+    alarm: bool = False
+
+
+def labelled(frame: np.ndarray, labels: Sequence[Label], width: float, size: int) -> np.ndarray:
+    """A copy of a picture with labels side by side at its lower edge.
+
+    Args:
+        frame: ``(H, W, 3)`` uint8.
+        labels: what to print.
+        width: of each in pixels; longer lines are cut.
+        size: of the letters of first lines in pixels.
+    """
+    image = Image.fromarray(frame)
+    draw = ImageDraw.Draw(image, "RGBA")
+    small, pad = max(9, round(0.85 * size)), size // 3
+    for label in labels:
+        sizes = [size] + [small] * (len(label.lines) - 1)
+        top = image.height - pad - sum(1.25 * s for s in sizes) - 2 * pad
+        left = label.x - width / 2.0
+        box = (left, top, left + width, image.height - pad)
+        draw.rounded_rectangle(box, radius=pad, fill=_PAPER)
+        draw.rectangle((left, top, left + width, top + pad - 1), fill=label.colour)
+        y = top + pad
+        for i, (line, letters) in enumerate(zip(label.lines, sizes, strict=True)):
+            alarm = label.alarm and i == len(sizes) - 1
+            line = _fitted(draw, line, letters, width - pad)
+            at = (label.x, y + 0.625 * letters)
+            draw.text(at, line, font=font(letters), fill=ALARM if alarm else INK, anchor="mm")
+            y += 1.25 * letters
     return np.asarray(image)
 
 

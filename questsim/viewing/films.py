@@ -6,11 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol, TypeVar
 
 import numpy as np
 
 from questsim.body import DEFAULT_HEIGHT_M
+from questsim.errors import InputError
 from questsim.heightfield import HeightField
 from questsim.metrics import Rollout
 from questsim.metrics_terms import mpjpe_cm
@@ -22,6 +23,22 @@ from questsim.viewing.outline import outline_points
 from questsim.viewing.render import Figure, SceneRenderer, thing_markers
 from questsim.viewing.video import write_video
 
+
+class Named(Protocol):
+    """What films are chosen by."""
+
+    @property
+    def name(self) -> str:
+        """Of the clip."""
+        ...
+
+    @property
+    def kind(self) -> str:
+        """Of motion."""
+        ...
+
+
+T = TypeVar("T", bound=Named)
 Layout = Literal["beside", "ghost"]
 _BESIDE_M = 1.05  # between two people of 1.75 m
 _GHOST_OPACITY = 0.35
@@ -227,12 +244,12 @@ def rollout_video(
     return Path(path)
 
 
-def one_of_each_kind(rollouts: Sequence[Rollout], count: int) -> list[Rollout]:
-    """``count`` rollouts: the middle one of each kind, then the one after it, and so on around.
+def one_of_each_kind(rollouts: Sequence[T], count: int) -> list[T]:
+    """``count`` of them: the middle one of each kind, then the one after it, and so on around.
 
     Libraries often begin and end a kind with its extremes; how well a clip went plays no part.
     """
-    by_kind: dict[str, list[Rollout]] = {}
+    by_kind: dict[str, list[T]] = {}
     for rollout in rollouts:
         by_kind.setdefault(rollout.kind, []).append(rollout)
     by_kind = {kind: _from_the_middle(group) for kind, group in by_kind.items()}
@@ -241,6 +258,21 @@ def one_of_each_kind(rollouts: Sequence[Rollout], count: int) -> list[Rollout]:
     return turns[:count]
 
 
-def _from_the_middle(group: list[Rollout]) -> list[Rollout]:
+def named(things: Sequence[T], names: Sequence[str], option: str) -> list[T]:
+    """Rollouts or motions by their names, in the order of the names.
+
+    Raises:
+        InputError: there is none of a name.
+    """
+    by_name = {thing.name: thing for thing in reversed(things)}
+    for name in names:
+        if name not in by_name:
+            known = sorted(by_name)
+            hint = ", ".join(known[:3]) + (", ..." if len(known) > 3 else "")
+            raise InputError(f"there is no clip {name!r} among those to be filmed", option, hint)
+    return [by_name[name] for name in names]
+
+
+def _from_the_middle(group: list[T]) -> list[T]:
     middle = len(group) // 2
     return group[middle:] + group[:middle]

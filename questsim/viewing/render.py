@@ -21,6 +21,7 @@ _HORIZON = (0.90, 0.92, 0.945)
 _ZENITH = (0.70, 0.77, 0.86)
 _SUN_DISTANCE_M = 4.0
 _THING = (0.89, 0.67, 0.24, 1.0)
+_EXTENT_M = 3.0
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,7 @@ class SceneRenderer:
         figures: who is in the picture.
         width, height: of the picture in pixels.
         ground: what they stand on; None for a plane.
+        reach_m: how far from the middle of the picture there are shadows.
 
     Raises:
         NoGLError: there is no OpenGL library to render with.
@@ -124,12 +126,18 @@ class SceneRenderer:
         width: int = 640,
         height: int = 480,
         ground: HeightField | None = None,
+        reach_m: float = _EXTENT_M,
     ) -> None:
         use_gl()
         self.width, self.height = width, height
         self._model = scene_spec(figures, width, height, ground).compile()
+        self._model.vis.map.shadowclip = reach_m / _EXTENT_M
+        # The same shadows to the metre.
+        self._model.vis.quality.shadowsize *= 1 if reach_m <= _EXTENT_M else 2
         self._data = mujoco.MjData(self._model)
-        self._renderer = mujoco.Renderer(self._model, height, width, max_geom=500)
+        self._renderer = mujoco.Renderer(
+            self._model, height, width, max_geom=max(500, 70 * len(figures))
+        )
         self._camera = mujoco.MjvCamera()
 
     def __enter__(self) -> SceneRenderer:
@@ -169,6 +177,7 @@ class SceneRenderer:
         view.lookat[:] = camera.lookat
         view.distance, view.azimuth = camera.distance, camera.azimuth_deg
         view.elevation = camera.elevation_deg
+        self._model.vis.global_.fovy = camera.fovy_deg
         self._renderer.update_scene(self._data, view)
         scene = self._renderer.scene
         scene.flags[mujoco.mjtRndFlag.mjRND_HAZE] = True
@@ -199,7 +208,7 @@ def scene_spec(
 ) -> mujoco.MjSpec:
     """Floor, sky, light and the figures, named ``0/...``, ``1/...`` in the order given."""
     spec = mujoco.MjSpec()
-    spec.stat.extent, spec.stat.center = 3.0, np.array([0.0, 0.0, 0.9])
+    spec.stat.extent, spec.stat.center = _EXTENT_M, np.array([0.0, 0.0, 0.9])
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = width, height
     visual.global_.fovy = FOVY_DEG

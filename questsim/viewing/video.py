@@ -79,8 +79,8 @@ def write_gif(
     if not pictures:
         raise InputError("a GIF needs at least one frame", path)
     sample = np.concatenate([np.asarray(p) for p in pictures[:: max(1, len(pictures) // 6)]])
-    palette = _palette(Image.fromarray(sample), colours)
-    flat = [p.quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
+    shared = palette(Image.fromarray(sample), colours)
+    flat = [p.quantize(palette=shared, dither=Image.Dither.NONE) for p in pictures]
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as fresh:
         flat[0].save(
@@ -95,14 +95,14 @@ def write_gif(
     return len(pictures)
 
 
-def _palette(sample: Image.Image, colours: int) -> Image.Image:
+def palette(sample: Image.Image, colours: int) -> Image.Image:
     """Mostly the commonest colours, and some so that small things keep theirs, such as arrows."""
     rare = colours // 4
     common = sample.quantize(colours - rare, Image.Quantize.MEDIANCUT).getpalette() or []
     spread = sample.quantize(rare, Image.Quantize.MAXCOVERAGE).getpalette() or []
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(common[: 3 * (colours - rare)] + spread[: 3 * rare])
-    return palette
+    shared = Image.new("P", (1, 1))
+    shared.putpalette(common[: 3 * (colours - rare)] + spread[: 3 * rare])
+    return shared
 
 
 def _encoder(
