@@ -155,8 +155,17 @@ def train(args: TrainArgs) -> int:
 
 
 def _from_anywhere(policy: Path | None) -> Path | None:
-    """A policy's path so that the run's record means it in any folder; names stay names."""
-    return policy.absolute() if policy is not None and policy.exists() else policy
+    """A policy's path so that the run's record means it in any folder; names stay names.
+
+    A folder that merely has a shipped policy's name, as the package ``questsim`` has, is no path.
+    """
+    if policy is None or not policy.exists():
+        return policy
+    try:
+        found = find_policy(policy)
+    except InputError:  # refused later, by what needs it
+        return policy.absolute()
+    return policy.absolute() if found.is_relative_to(policy) else policy
 
 
 def _outcome(out: Path) -> str:

@@ -118,6 +118,8 @@ def test_a_teacher_begun_with_a_shipped_one_is_not_mistaken_for_it(
     monkeypatch.setattr("agents.checkpoint.SHIPPED", weights)
     train(tiny(tmp_path / "a", stage="teacher"))
     ship(ShipArgs(tmp_path / "a", "tracker", into=weights))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tracker").mkdir()  # a folder that merely has the name, as questsim/ here has
     train(tiny(tmp_path / "b", start=Path("tracker")))
     lines = commands(stages_behind(tmp_path / "b" / "student" / "best"))
     assert len(lines) == 3
