@@ -66,7 +66,7 @@ def provenance(folder: Path) -> dict[str, Any]:
                 "stage": part.training["stage"],
                 "steps": part.steps,
                 "minutes": part.minutes,
-                "motions": part.training["motions"],
+                "motions": portable(part.training["motions"]),
             }
             for part in parts
         ],
@@ -77,31 +77,57 @@ def provenance(folder: Path) -> dict[str, Any]:
     }
 
 
+def portable(motions: str) -> str:
+    """A motion argument with files called by name, in ``runs/``, wherever they were."""
+    parts = [part.strip() for part in motions.split(",")]
+    return ",".join(f"runs/{Path(p).name}" if Path(p).is_absolute() else p for p in parts)
+
+
 def stages_behind(folder: Path) -> list[StagePart]:
     """The stages that led to a policy, its own last.
 
     Raises:
         InputError: see ``provenance``.
     """
-    training = _training(folder)
+    return _stages(folder, _training(folder))
+
+
+def _stages(folder: Path, training: dict[str, Any]) -> list[StagePart]:
+    """As ``stages_behind``, of a policy that was so described."""
     if "stages" in training:
         return _shipped_stages(folder, training)
     run = run_of(folder)
     stage, record = training["stage"], read_run(run)
-    start, teacher = said(record, stage, "start"), said(record, stage, "teacher")
-    before: list[Path] = []
+    start = _origin(record, stage, "start")
+    before: list[tuple[Path, dict[str, Any]]] = []
     if stage == "student":
-        before.append(find_teacher(teacher or run / "teacher"))
+        own = find_teacher(run / "teacher") if not said(record, stage, "teacher") else None
+        taught = (own, _training(own)) if own else _origin(record, stage, "teacher")
+        assert taught is not None
+        before.append(taught)
     if start:
-        before.append(find_teacher(start) if stage == "teacher" else find_policy(start))
+        before.append(start)
     elif stage == "finetune":
-        before.append(find_policy(run / "student"))
+        before.append((student := find_policy(run / "student"), _training(student)))
     earlier: list[StagePart] = []
-    for policy in before:
-        earlier = _joined(earlier, stages_behind(policy))
+    for policy, told in before:
+        earlier = _joined(earlier, _stages(policy, told))
     last = run / stage / "last"
     end = _training(last) if (last / CARD_FILE).exists() else training
     return [*earlier, StagePart(run, training, end["steps"], end["minutes"])]
+
+
+def _origin(
+    record: Mapping[str, Any], stage: str, option: str
+) -> tuple[Path, dict[str, Any]] | None:
+    """The policy that an option of a run named, and how it was described then."""
+    entry = _saying(record, stage, option)
+    if entry is None:
+        return None
+    name = entry["args"][option]
+    teacher = option == "teacher" or stage == "teacher"
+    folder = find_teacher(name) if teacher else find_policy(name)
+    return folder, entry.get("behind", {}).get(option) or _training(folder)
 
 
 def said(record: Mapping[str, Any], stage: str, option: str) -> Any:
@@ -112,11 +138,17 @@ def said(record: Mapping[str, Any], stage: str, option: str) -> Any:
         stage: a stage; ``--stage all`` begins with the teacher.
         option: ``start``, which counts only for the first stage of a command, or ``teacher``.
     """
+    entry = _saying(record, stage, option)
+    return None if entry is None else entry["args"][option]
+
+
+def _saying(record: Mapping[str, Any], stage: str, option: str) -> Mapping[str, Any] | None:
+    """The part of a record, begun or resumed, that has an option for a stage."""
     for entry in (record, *record.get("resumed", ())):
         args = entry["args"]
         mine = (stage, "all") if stage == "teacher" or option == "teacher" else (stage,)
         if args.get("stage") in mine and args.get(option):
-            return args[option]
+            return entry
     return None
 
 
@@ -161,7 +193,9 @@ def _is_same(a: StagePart, b: StagePart) -> bool:
         return False
     if a.command is None and a.run != b.run:
         return False
-    what = [(p.training["stage"], p.training["motions"], p.steps, p.minutes) for p in (a, b)]
+    what = [
+        (p.training["stage"], portable(p.training["motions"]), p.steps, p.minutes) for p in (a, b)
+    ]
     return what[0] == what[1]
 
 
@@ -209,11 +243,9 @@ def commands(parts: Sequence[StagePart]) -> list[str]:
         words = ["--stage", stage, "--minutes", str(ceil(part.minutes))]
         words += ["--out", names[run]]
         record = read_run(run)
-        if stage == "student" and (teacher := said(record, stage, "teacher")):
-            words += ["--teacher", _called(find_teacher(teacher), names, parts)]
-        if start := said(record, stage, "start"):
-            found = find_teacher(start) if stage == "teacher" else find_policy(start)
-            words += ["--start", _called(found, names, parts)]
+        for option in ("teacher", "start") if stage == "student" else ("start",):
+            if origin := _origin(record, stage, option):
+                words += [f"--{option}", _called(*origin, names, parts)]
         if run in begun:
             words.append("--resume")
         begun.add(run)
@@ -234,9 +266,13 @@ def _run_names(parts: Sequence[StagePart]) -> dict[Path, str]:
     return names
 
 
-def _called(folder: Path, names: Mapping[Path, str], parts: Sequence[StagePart]) -> str:
-    """What command lines call the run of a policy folder, shipped or not."""
-    training = _training(folder)
+def _called(
+    folder: Path,
+    training: dict[str, Any],
+    names: Mapping[Path, str],
+    parts: Sequence[StagePart],
+) -> str:
+    """What command lines call the run of a policy, shipped or not."""
     if "stages" not in training:
         return names[run_of(folder)]
     own = _shipped_stages(folder, training)[-1]
@@ -255,7 +291,9 @@ def options_of(args: Mapping[str, Any]) -> list[str]:
             for inner, number in value.items():
                 if number != default[inner]:
                     words += _words(f"{name}.{inner}", number)
-        elif value != default or name in ("motions", "preset"):
+        elif name == "motions":
+            words += _words(name, portable(value))
+        elif value != default or name == "preset":
             words += _words(name, value)
     return words
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, Field, asdict, fields, is_dataclass
 from importlib import metadata
 from pathlib import Path
@@ -59,8 +59,21 @@ def plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def start_run(out: Path, args: Any, preset: Any, data: dict[str, Any]) -> None:
+def start_run(
+    out: Path,
+    args: Any,
+    preset: Any,
+    data: dict[str, Any],
+    behind: Mapping[str, Any] | None = None,
+) -> None:
     """Create the run folder with its record.
+
+    Args:
+        out: the folder.
+        args, preset: what it is started with.
+        data: see ``data_record``.
+        behind: of each option that names a shipped policy how that was trained: another version
+            may have the name when a card is written.
 
     Raises:
         InputError: if a run is there already, or the folder cannot be written.
@@ -73,15 +86,21 @@ def start_run(out: Path, args: Any, preset: Any, data: dict[str, Any]) -> None:
         "preset": plain(preset),
         "data": data,
         "versions": versions(),
+        "behind": dict(behind or {}),
         "resumed": [],
     }
     _write(out, record)
 
 
-def note_resume(out: Path, args: Any, preset: Any) -> None:
-    """Add to a run's record with which options and preset it goes on."""
+def note_resume(out: Path, args: Any, preset: Any, behind: Mapping[str, Any] | None = None) -> None:
+    """Add to a run's record with which options and preset it goes on; see ``start_run``."""
     record = read_run(out)
-    again = {"args": plain(args), "preset": plain(preset), "versions": versions()}
+    again = {
+        "args": plain(args),
+        "preset": plain(preset),
+        "versions": versions(),
+        "behind": dict(behind or {}),
+    }
     record["resumed"] = [*record.get("resumed", []), again]
     _write(out, record)
 

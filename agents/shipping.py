@@ -24,7 +24,7 @@ from agents.kinematic.store import WEIGHTS_FILE as SYSTEM_WEIGHTS
 from agents.kinematic.store import find_system, read_system_card
 from agents.licence import UNKNOWN
 from agents.model_card import model_card, read_metrics
-from agents.provenance import provenance
+from agents.provenance import portable, provenance
 from questsim.errors import InputError
 
 MODEL_CARD = "README.md"
@@ -69,7 +69,8 @@ def _ship_policy(args: ShipArgs, source: Path) -> int:
     size = _checked_size(source / WEIGHTS_FILE)
     training = agent.card["training"]
     metrics = [read_metrics(path, training) for path in args.metrics]
-    agent.card["training"] = training | provenance(source)
+    told = {"motions": portable(training["motions"])}
+    agent.card["training"] = training | told | provenance(source)
     licence = _checked_licence(agent.card["training"], source)
     card = model_card(args.name, agent, size, metrics)
     _write(args, source, (WEIGHTS_FILE, CRITIC_FILE), (CARD_FILE, agent.card), card)

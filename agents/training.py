@@ -12,7 +12,7 @@ import torch
 
 from agents.agent import Needs, PolicyAgent
 from agents.beginning import make_learner
-from agents.checkpoint import CARD_FILE, find_policy
+from agents.checkpoint import CARD_FILE, find_policy, read_card
 from agents.learner import Learner
 from agents.monitor import Display
 from agents.overrides import with_overrides
@@ -135,9 +135,9 @@ def train(args: TrainArgs) -> int:
     def begin() -> None:
         # Not earlier: options and motions that a stage refuses leave no run behind.
         if not (args.out / RECORD).exists():
-            start_run(args.out, args, preset, data)
+            start_run(args.out, args, preset, data, shipped_behind(args.start, args.teacher))
         elif not noted:
-            note_resume(args.out, args, preset)
+            note_resume(args.out, args, preset, shipped_behind(args.start, args.teacher))
         noted.append(True)
 
     noted: list[bool] = []
@@ -166,6 +166,15 @@ def _from_anywhere(policy: Path | None) -> Path | None:
     except InputError:  # refused later, by what needs it
         return policy.absolute()
     return policy.absolute() if found.is_relative_to(policy) else policy
+
+
+def shipped_behind(start: Path | None, teacher: Path | None) -> dict[str, Any]:
+    """How the shipped policies that ``--start`` and ``--teacher`` name were trained."""
+    named = {"start": start, "teacher": teacher}
+    found = {option: find_policy(name) for option, name in named.items() if name is not None}
+    cards = {option: read_card(folder).get("training", {}) for option, folder in found.items()}
+    # A run's own folder tells by itself.
+    return {option: training for option, training in cards.items() if "stages" in training}
 
 
 def _outcome(out: Path) -> str:

@@ -125,6 +125,10 @@ def test_a_teacher_begun_with_a_shipped_one_is_not_mistaken_for_it(
     assert len(lines) == 3
     assert lines[1].endswith("--out runs/NAME --start runs/tracker")
     assert lines[2].endswith("--out runs/NAME --resume")
+    # The name means another policy by now; what b began with stays what it was.
+    train(tiny(tmp_path / "c", stage="teacher", seed=9))
+    ship(ShipArgs(tmp_path / "c", "tracker", into=weights))
+    assert commands(stages_behind(tmp_path / "b" / "student" / "best")) == lines
 
 
 @pytest.fixture

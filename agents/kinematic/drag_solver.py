@@ -33,10 +33,15 @@ DEVICES: tuple[str, ...] = (
 HIP, HEAD = JOINTS.index("root"), JOINTS.index("head")
 ANKLES = [JOINTS.index("left_ankle"), JOINTS.index("right_ankle")]
 
+PASSED_ON = (HEAD, JOINTS.index("left_wrist"), JOINTS.index("right_wrist"), *ANKLES)
+"""Joints whose orientation is taken as it is measured, as SparsePoser has it."""
 HIP_WEIGHTS, OTHER_WEIGHTS = (10.0, 10.0), (5.0, 0.01)
 """Of position and rotation of trackers (the paper)."""
 PREDICTION_WEIGHTS = {6: 0.02, 5: 0.02, 4: 0.125, 3: 0.15}
 """lambda_T by number of trackers (the paper; 5 as 6)."""
+NEWTON_SHARE = 0.05
+"""Of lambda_T that the Gauss-Newton solver uses: it reaches the optimum, which Adam in the paper's
+few steps does not, and there the whole weight holds the pose back from its trackers."""
 GOOD_POSITION, GOOD_ROTATION = 1e-4, 0.01
 """Losses at which Adam stops (the paper)."""
 ADAM_RATE = 0.01
@@ -170,6 +175,12 @@ class DragPoser(KinematicSystem):
         quat = figure.quat
         local = rot.quat_multiply(rot.quat_conjugate(quat[list(JOINT_PARENTS)]), quat)
         local[0] = quat[0]
+        for joint, weight, measured in zip(goal.joints, goal.weights, goal.quat, strict=True):
+            # The solver hardly weighs these rotations; they move nothing that is tracked.
+            if joint in PASSED_ON and weight[1] > 0:
+                local[joint] = rot.quat_multiply(
+                    rot.quat_conjugate(quat[JOINT_PARENTS[joint]]), measured
+                )
         return Poses(figure.position[:1].copy(), local[None], self._body.offsets[None])
 
     def _goal(self, signals: Signals) -> Goal:
@@ -180,13 +191,14 @@ class DragPoser(KinematicSystem):
         if not self.rotations:
             wanted[:, 1] = 0.0
         latent = self._latent if self._latent is not None else np.zeros(LATENT)
+        share = NEWTON_SHARE if self.solver == "newton" else 1.0
         return Goal(
             joints=joints,
             position=signals.position[0, shown],
             quat=signals.quat[0, shown],
             weights=wanted,
             predicted=self._expected(latent),
-            prediction_weight=PREDICTION_WEIGHTS[min(max(len(joints), 3), 6)],
+            prediction_weight=share * PREDICTION_WEIGHTS[min(max(len(joints), 3), 6)],
             root=self._root,
             turn=self._turn,
         )

@@ -30,12 +30,15 @@ FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
         ("and errors of the links", "from nothing, flat"),
         "goes on, flat",
         "goes on, mixed ground and pushes",
+        ("and estimated motion, more hard ground", "and estimated motion"),
     ),
     "training-students.png": ("student H+2C", "student H", "student H+2C, no future frames"),
     "training-students-shipped.png": (
         "goes on, H+2C",
         "goes on, H",
         "goes on, H+2C, no future frames",
+        ("goes on again, H+2C", "H+2C, of the last teacher"),
+        ("goes on again, H", "H, of the last teacher"),
     ),
 }
 """The curves of each picture; a pair is a curve and what it is called there."""
