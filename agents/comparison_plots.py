@@ -23,7 +23,7 @@ _PLAUSIBILITY: tuple[tuple[str, str], ...] = (
     ("foot_skate_cm_s", "Foot skate (cm/s)"),
     ("floating_cm", "Floating (cm)"),
     ("penetration_cm", "Floor penetration (cm)"),
-    ("root_force_bw", "Force on the root (body weights)"),
+    ("root_force_bw", "Root force (body weights)"),
 )
 _LONGEST_NAME = 26
 
