@@ -124,7 +124,32 @@ def neighbour_mask(parents: Sequence[int], displacement: bool = False) -> Tensor
     return mask
 
 
-class MaskedLinear(nn.Module):
+class _Masked(nn.Module):
+    """A layer whose weight is masked; while only answering it is masked once."""
+
+    weight: nn.Parameter
+    mask: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._ready: Tensor | None = None
+
+    def train(self, mode: bool = True) -> _Masked:
+        """Switch to training or evaluation; forgets the weight kept for evaluation."""
+        self._ready = None
+        return super().train(mode)
+
+    def masked_weight(self) -> Tensor:
+        """The weight with zeros where the mask has them."""
+        if self._ready is not None and not torch.is_grad_enabled():
+            return self._ready
+        weight = self.weight * self.mask
+        if not self.training and not torch.is_grad_enabled():
+            self._ready = weight
+        return weight
+
+
+class MaskedLinear(_Masked):
     """A linear layer between groups of features, of which only some reach each other.
 
     Args:
@@ -142,11 +167,10 @@ class MaskedLinear(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """``(..., groups in * size_in)`` to ``(..., groups out * size_out)``."""
-        assert isinstance(self.mask, Tensor)
-        return nn.functional.linear(x, self.weight * self.mask, self.bias)
+        return nn.functional.linear(x, self.masked_weight(), self.bias)
 
 
-class MaskedConv(nn.Module):
+class MaskedConv(_Masked):
     """A convolution over time of joints' features, of which only neighbours reach each other.
 
     Reflects the signal at both ends, so that a stride of 1 keeps its length.
@@ -172,9 +196,8 @@ class MaskedConv(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """``(B, joints * size_in, T)`` to ``(B, joints * size_out, T / stride)``."""
-        assert isinstance(self.mask, Tensor)
         padded = nn.functional.pad(x, (self.padding, self.padding), mode="reflect")
-        return nn.functional.conv1d(padded, self.weight * self.mask, self.bias, self.stride)
+        return nn.functional.conv1d(padded, self.masked_weight(), self.bias, self.stride)
 
 
 class PlainMixing(nn.Module):
