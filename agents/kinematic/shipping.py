@@ -181,5 +181,7 @@ def comparison_lines(path: Path, training: Mapping[str, Any]) -> list[str]:
     for row in rows:
         found = [row["pooled"][name] for name in names]
         cells = ["-" if value is None else f"{value:.2f}" for value in found]
-        lines.append(f"| {row['scenario']} | {' | '.join(cells)} |")
+        behind = row["agent"].endswith("+physics") and "no physics" not in row["scenario"]
+        told = row["scenario"] + (", physics behind it" if behind else "")
+        lines.append(f"| {told} | {' | '.join(cells)} |")
     return [*lines, ""]
