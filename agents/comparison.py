@@ -18,7 +18,14 @@ from agents.checkpoint import CARD_FILE as POLICY_CARD
 from agents.checkpoint import SHIPPED, find_policy, read_card
 from agents.comparison_plots import plot_accuracy, plot_plausibility
 from agents.comparison_report import COSTS, TABLES, table, write
-from agents.comparison_run import check_agent, is_policy, rows_of, run_recording, suiting, workers
+from agents.comparison_run import (
+    devices_named,
+    is_policy,
+    rows_of,
+    run_recording,
+    suiting,
+    workers,
+)
 from agents.comparison_scenarios import Scenario
 from agents.kinematic.data import motions_record
 from agents.kinematic.physics import SUFFIX, base_of
@@ -29,7 +36,6 @@ from questsim.errors import InputError, at_least
 from questsim.files import whole_file
 from questsim.joint_sensors import SENSOR_FPS
 from questsim.motion.motion import Motion
-from questsim.sensors import SENSOR_SETS
 
 FIGURES = {"accuracy.png": plot_accuracy, "plausibility.png": plot_plausibility}
 FILES: tuple[str, ...] = ("comparison.json", "comparison.csv", "comparison.md", *FIGURES)
@@ -112,13 +118,7 @@ def plan(agents: Sequence[str], sensors: str | None) -> dict[str, list[Scenario]
     Raises:
         InputError: an agent or set of sensors that is none, or one that cannot use the other.
     """
-    if sensors is not None and sensors not in SENSOR_SETS:
-        raise InputError(
-            f"unknown sensor set {sensors!r}", "--sensors", f"choose from {', '.join(SENSOR_SETS)}"
-        )
-    devices = None if sensors is None else SENSOR_SETS[sensors]
-    for agent in agents:
-        check_agent(agent)
+    devices = devices_named(sensors)
     planned = {agent: suiting(agent, devices) for agent in agents or everyone()}
     if agents:
         for agent, scenarios in planned.items():

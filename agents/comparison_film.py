@@ -2,7 +2,7 @@
 
 Poses of kinematic systems are shown on the avatar, in the world where the system has them, over
 the floor that the user stands on: what floats, sinks or skates is seen to. An avatar that is lost
-stays where it was lost. Each figure is named, and has its mean joint error below it.
+leaves the picture. Each figure is named, and has its mean joint error below it.
 """
 
 from __future__ import annotations

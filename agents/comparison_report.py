@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import numpy as np
 from questsim.files import whole_file
 
 SCHEMA, SCHEMA_VERSION = "questsim-comparison", 1
+WEIGHTINGS = ("equal", "pooled")
 RECORDING = "recording"
 """What the row of the motions themselves is called."""
 
@@ -39,6 +40,10 @@ class Row:
     ms: float | None
     mmac: float | None = None
     stream_kib: float | None = None
+
+    def figures(self, weighting: str) -> dict[str, float | None]:
+        """Of a weighting in ``WEIGHTINGS``."""
+        return self.pooled if weighting == "pooled" else self.equal
 
 
 def row_of(
@@ -71,10 +76,6 @@ def _mean(values: np.ndarray) -> float | None:
     return float(values.mean()) if len(values) else None
 
 
-_Getter = Callable[[Row], dict[str, float | None]]
-_WEIGHTS: dict[str, _Getter] = {"equal": lambda row: row.equal, "pooled": lambda row: row.pooled}
-
-
 LABELS: dict[str, str] = {
     "mpjre_deg": "MPJRE (deg)", "mpjpe_cm": "MPJPE (cm)", "mpjve_cm_s": "MPJVE (cm/s)",
     "jitter_100_m_s3": "jitter (100 m/s³)", "h_pe_cm": "H-PE (cm)", "u_pe_cm": "U-PE (cm)",
@@ -87,14 +88,14 @@ LABELS: dict[str, str] = {
 }  # fmt: skip
 """Names of figures in tables."""
 
+HEADS_ALIGNED: tuple[str, ...] = (
+    "mpjre_deg", "mpjpe_cm", "mpjve_cm_s", "jitter_100_m_s3",
+    "h_pe_cm", "u_pe_cm", "l_pe_cm", "r_pe_cm",
+)  # fmt: skip
+ROOTS_ALIGNED: tuple[str, ...] = ("pos_cm", "rot_deg", "vel_cm_s", "ee_cm", "jitter_100_m_s3")
 TABLES: dict[str, tuple[str, ...]] = {
-    "Heads moved onto each other (HMD-Poser, LGSIK-Poser)": (
-        "mpjre_deg", "mpjpe_cm", "mpjve_cm_s", "jitter_100_m_s3",
-        "h_pe_cm", "u_pe_cm", "l_pe_cm", "r_pe_cm",
-    ),
-    "Roots moved onto each other (SparsePoser, DragPoser)": (
-        "pos_cm", "rot_deg", "vel_cm_s", "ee_cm", "jitter_100_m_s3",
-    ),
+    "Heads moved onto each other (HMD-Poser, LGSIK-Poser)": HEADS_ALIGNED,
+    "Roots moved onto each other (SparsePoser, DragPoser)": ROOTS_ALIGNED,
     "Plausibility": (
         "success_percent", "world_cm", "foot_skate_cm_s", "floating_cm", "penetration_cm",
         "root_force_bw",
@@ -118,7 +119,7 @@ def table(rows: Sequence[Row], names: Sequence[str], weighting: str = "pooled") 
     head = ["agent", "scenario", *(LABELS[name] for name in names)]
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for row in rows:
-        figures = {**_WEIGHTS[weighting](row), **{name: getattr(row, name) for name in COSTS}}
+        figures = {**row.figures(weighting), **{name: getattr(row, name) for name in COSTS}}
         cells = [_cell(figures.get(name)) for name in names]
         lines.append(f"| {' | '.join([row.agent, row.scenario, *cells])} |")
     return "\n".join(lines)
@@ -163,8 +164,8 @@ def write(rows: Sequence[Row], context: dict[str, Any], out: Path) -> None:
         writer.writerow(["agent", "scenario", "weighting", *names, *COSTS])
         for row in rows:
             told = [getattr(row, name) for name in COSTS]
-            for weighting, figures in _WEIGHTS.items():
-                values = [figures(row).get(name) for name in names]
+            for weighting in WEIGHTINGS:
+                values = [row.figures(weighting).get(name) for name in names]
                 writer.writerow([row.agent, row.scenario, weighting, *values, *told])
     data = context["data"]
     text = (

@@ -84,18 +84,26 @@ def is_policy(agent: str) -> bool:
     return True
 
 
-def check_agent(agent: str) -> None:
-    """Refuse what is no kinematic system, with or without physics, and no policy.
+def devices_named(sensors: str | None) -> tuple[str, ...] | None:
+    """The devices of ``--sensors``; None where it is not given.
 
     Raises:
-        InputError: naming it.
+        InputError: there is no such set.
     """
-    if not is_policy(agent):
-        load_system(base_of(agent) or agent)
+    if sensors is None:
+        return None
+    if sensors not in SENSOR_SETS:
+        known = ", ".join(SENSOR_SETS)
+        raise InputError(f"unknown sensor set {sensors!r}", "--sensors", f"choose from {known}")
+    return SENSOR_SETS[sensors]
 
 
 def suiting(agent: str, devices: Sequence[str] | None) -> list[Scenario]:
-    """What an agent can be run in; only what is of just these devices, if any are named."""
+    """What an agent can be run in; only what is of just these devices, if any are named.
+
+    Raises:
+        InputError: it is no kinematic system, with or without physics, and no policy.
+    """
     if is_policy(agent):
         sensors = load_agent(agent).needs.sensors
         name = {key: name for name, key in RECURRENT_SETS.items()}.get(sensors, sensors)

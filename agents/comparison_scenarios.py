@@ -71,20 +71,20 @@ def _on_feet(devices: Sequence[str]) -> set[str]:
 
 
 _HANDS = ("left_controller", "right_controller")
-_SIX = (
+SIX = (
     "pelvis_tracker", "headset", *_HANDS, "left_foot_tracker", "right_foot_tracker",
 )  # fmt: skip
 
 DRAG_SCENARIOS: tuple[Scenario, ...] = (
     Scenario("3 head+hands", ("headset", *_HANDS)),
     Scenario("3 hip+hands", ("pelvis_tracker", *_HANDS)),
-    Scenario("4", _SIX[:4]),
-    Scenario("5 no left foot", (*_SIX[:4], "right_foot_tracker")),
-    Scenario("6", _SIX),
-    Scenario("6, 1 iteration", _SIX, options=(("iterations", 1),)),
-    Scenario("6 position only", _SIX, options=(("rotations", False),)),
-    Scenario("faulty 0.5 %", _SIX, faults=0.005),
-    Scenario("faulty 1 %", _SIX, faults=0.01),
+    Scenario("4", SIX[:4]),
+    Scenario("5 no left foot", (*SIX[:4], "right_foot_tracker")),
+    Scenario("6", SIX),
+    Scenario("6, 1 iteration", SIX, options=(("iterations", 1),)),
+    Scenario("6 position only", SIX, options=(("rotations", False),)),
+    Scenario("faulty 0.5 %", SIX, faults=0.005),
+    Scenario("faulty 1 %", SIX, faults=0.01),
 )
 """Those of DragPoser's table 2, and one iteration a frame."""
 

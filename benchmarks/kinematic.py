@@ -15,6 +15,7 @@ import sys
 
 import torch
 
+from agents.comparison_scenarios import SIX
 from agents.kinematic.data import MotionBank
 from agents.kinematic.interface import Body, KinematicSystem
 from agents.kinematic.registry import AGENTS
@@ -30,8 +31,6 @@ from questsim.sensors import SENSOR_SETS
 PUBLISHED_MS = {"sparseposer": 27.0, "dragposer": 30.0, "hmdposer": 17.0, "lgsik": 8.0}
 """Of the released code on one thread of a processor, at the published sizes."""
 DRAG_ITERATIONS = (10, 1)
-SIX = ("pelvis_tracker", "headset", "left_controller", "right_controller",
-       "left_foot_tracker", "right_foot_tracker")  # fmt: skip
 
 
 def main() -> None:

@@ -9,20 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from agents.comparison_report import Row
+from agents.comparison_report import COSTS, HEADS_ALIGNED, ROOTS_ALIGNED, Row
 from questsim.files import whole_file
 
 SCHEMA, SCHEMA_VERSION = "questsim-ablations", 1
 FILES: tuple[str, ...] = ("ablations.json", "ablations.csv", "ablations.md")
 """What is written."""
 
-_TRACKED = ("pos_cm", "rot_deg", "vel_cm_s", "ee_cm", "jitter_100_m_s3")
-_WORN = (
-    "mpjre_deg", "mpjpe_cm", "mpjve_cm_s", "jitter_100_m_s3",
-    "h_pe_cm", "u_pe_cm", "l_pe_cm", "r_pe_cm",
-)  # fmt: skip
 SHOWN: dict[str, tuple[str, ...]] = {
-    "sparseposer": _TRACKED, "dragposer": _TRACKED, "hmdposer": _WORN, "lgsik": _WORN,
+    "sparseposer": ROOTS_ALIGNED, "dragposer": ROOTS_ALIGNED,
+    "hmdposer": HEADS_ALIGNED, "lgsik": HEADS_ALIGNED,
 }  # fmt: skip
 """The figures of each paper's own tables; CSV and JSON have all of the comparison's."""
 WEIGHTINGS = ("pooled", "equal")
@@ -52,16 +48,12 @@ class Result:
 
 def differences(row: Row, full: Row, weighting: str) -> Figures:
     """Each figure of a row less the full system's, where both have it."""
-    got, whole = _figures(row, weighting), _figures(full, weighting)
+    got, whole = row.figures(weighting), full.figures(weighting)
     told: Figures = {}
     for name, value in got.items():
         reference = whole.get(name)
         told[name] = None if value is None or reference is None else value - reference
     return told
-
-
-def _figures(row: Row, weighting: str) -> Figures:
-    return row.pooled if weighting == "pooled" else row.equal
 
 
 def _by_scenario(results: Sequence[Result]) -> Iterator[tuple[str, list[tuple[Result, Row]]]]:
@@ -82,7 +74,7 @@ def table(results: Sequence[Result], agent: str, weighting: str) -> str:
         for result, row in pairs:
             apart = differences(row, full, weighting)
             cells = [
-                _cell(_figures(row, weighting).get(name), None if row is full else apart.get(name))
+                _cell(row.figures(weighting).get(name), None if row is full else apart.get(name))
                 for name in names
             ]
             steps = " + ".join(f"{stage['steps']:,}" for stage in result.training.values())
@@ -140,16 +132,15 @@ def _rows(results: Sequence[Result]) -> Iterator[dict[str, Any]]:
 
 def _write_csv(results: Sequence[Result], writer: Any) -> None:
     names = list(dict.fromkeys(n for result in results for row in result.rows for n in row.pooled))
-    costs = ["parameters", "mmac", "stream_kib", "ms"]
     apart_names = [f"{name}_difference" for name in names]
-    writer.writerow(["variant", "scenario", "weighting", *names, *apart_names, *costs])
+    writer.writerow(["variant", "scenario", "weighting", *names, *apart_names, *COSTS])
     for scenario, pairs in _by_scenario(results):
         for _, row in pairs:
             for weighting in WEIGHTINGS:
-                got = _figures(row, weighting)
+                got = row.figures(weighting)
                 apart = differences(row, pairs[0][1], weighting)
                 told = [*(got.get(n) for n in names), *(apart.get(n) for n in names)]
-                told += [getattr(row, cost) for cost in costs]
+                told += [getattr(row, cost) for cost in COSTS]
                 writer.writerow([row.agent, scenario, weighting, *told])
 
 

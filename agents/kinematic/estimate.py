@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from agents.comparison import chosen
-from agents.comparison_run import Job, reconstructed, suiting, workers
+from agents.comparison_run import Job, devices_named, reconstructed, workers
+from agents.comparison_scenarios import scenarios
 from agents.kinematic.physics import on_own_body
 from agents.kinematic.store import load_system
 from questsim.errors import InputError, at_least
@@ -19,7 +20,6 @@ from questsim.motion.library import save_library
 from questsim.motion.motion import Motion
 from questsim.motion.retarget import to_clip
 from questsim.motion.spec import load_recordings
-from questsim.sensors import SENSOR_SETS
 
 
 @dataclass(frozen=True)
@@ -51,19 +51,13 @@ def estimate(args: EstimateArgs) -> None:
     """
     at_least(1, threads=args.threads, max_clips=args.max_clips)
     at_least(0, seed=args.seed)
-    if args.sensors is not None and args.sensors not in SENSOR_SETS:
-        known = ", ".join(SENSOR_SETS)
-        raise InputError(
-            f"unknown sensor set {args.sensors!r}", "--sensors", f"choose from {known}"
-        )
-    devices = None if args.sensors is None else SENSOR_SETS[args.sensors]
-    load_system(args.agent)  # what it is not is refused by name
-    scenarios = suiting(args.agent, devices)
-    if not scenarios:
+    devices = devices_named(args.sensors)
+    suited = [s for s in scenarios(load_system(args.agent)) if s.has(devices)]
+    if not suited:
         raise InputError(f"{args.agent} is not used with {args.sensors}", "--sensors")
     check_library_path(args.out)
     motions = chosen(load_recordings(args.motions, seed=args.seed), args.max_clips)
-    jobs = [(args.agent, scenarios[0], motion, 0) for motion in motions]
+    jobs = [(args.agent, suited[0], motion, 0) for motion in motions]
     with workers(args.threads) as mapper:
         done = list(mapper(_estimated, jobs))
     save_library(args.out, [motion for motion, _ in done], [clip for _, clip in done])

@@ -12,6 +12,7 @@ from typing import Any
 from agents.comparison_report import LABELS, SCHEMA, SCHEMA_VERSION
 from agents.comparison_run import parameters
 from agents.kinematic.interface import KinematicSystem
+from agents.kinematic.physics import base_of
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import CARD_FILE, find_system, load_system, read_system_card
 from agents.licence import strictest
@@ -181,7 +182,7 @@ def comparison_lines(path: Path, training: Mapping[str, Any]) -> list[str]:
     for row in rows:
         found = [row["pooled"][name] for name in names]
         cells = ["-" if value is None else f"{value:.2f}" for value in found]
-        behind = row["agent"].endswith("+physics") and "no physics" not in row["scenario"]
+        behind = base_of(row["agent"]) is not None and "no physics" not in row["scenario"]
         told = row["scenario"] + (", physics behind it" if behind else "")
         lines.append(f"| {told} | {' | '.join(cells)} |")
     return [*lines, ""]
