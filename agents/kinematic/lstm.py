@@ -5,11 +5,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from agents.kinematic.ready import Derives
+
 State = tuple[Tensor, Tensor]
 """Hidden and cell state, each ``(groups, B, size)``."""
 
 
-class LstmBank(nn.Module):
+class LstmBank(Derives):
     """One LSTM a group; each reads and writes only its own group's features.
 
     Both weight matrices are normalised by row (Salimans and Kingma 2016), as HMD-Poser's released
@@ -33,30 +35,19 @@ class LstmBank(nn.Module):
         bound = size**-0.5
         self.input_bias = nn.Parameter(torch.empty(groups, 4 * size).uniform_(-bound, bound))
         self.hidden_bias = nn.Parameter(torch.empty(groups, 4 * size).uniform_(-bound, bound))
-        self._ready: tuple[Tensor, Tensor, Tensor] | None = None
-
-    def train(self, mode: bool = True) -> LstmBank:
-        """Switch to training or evaluation; forgets the weights kept for evaluation."""
-        self._ready = None
-        return super().train(mode)
 
     def _weights(self) -> tuple[Tensor, Tensor, Tensor]:
         """Both matrices transposed ``(groups, size, 4 size)`` and the bias."""
-        if self._ready is not None:
-            return self._ready
 
         def weight(direction: Tensor, length: Tensor) -> Tensor:
             unit = direction / direction.norm(dim=-1, keepdim=True)
             return (unit * length[..., None]).transpose(1, 2).contiguous()
 
-        ready = (
+        return (
             weight(self.input_direction, self.input_length),
             weight(self.hidden_direction, self.hidden_length),
             (self.input_bias + self.hidden_bias)[:, None],
         )
-        if not self.training and not torch.is_grad_enabled():
-            self._ready = ready
-        return ready
 
     def forward(self, x: Tensor, state: State | None = None) -> tuple[Tensor, State]:
         """Run over time.
@@ -75,7 +66,7 @@ class LstmBank(nn.Module):
 
     def _step(self, x: Tensor, state: State) -> tuple[Tensor, State]:
         """One frame of all groups at once."""
-        into, across, bias = self._weights()
+        into, across, bias = self.derived(self._weights)
         gates = torch.baddbmm(bias, x[:, 0].transpose(0, 1), into)
         i, f, g, o = torch.baddbmm(gates, state[0], across).chunk(4, dim=-1)
         cell = torch.sigmoid(f) * state[1] + torch.sigmoid(i) * torch.tanh(g)
@@ -85,7 +76,7 @@ class LstmBank(nn.Module):
     def _sequence(self, x: Tensor, state: State) -> tuple[Tensor, State]:
         """Group by group through PyTorch's own LSTM, which is made for sequences."""
         kind = torch.get_autocast_dtype("cpu") if torch.is_autocast_enabled("cpu") else x.dtype
-        into, across, bias = (w.to(kind).transpose(1, 2) for w in self._weights())
+        into, across, bias = (w.to(kind).transpose(1, 2) for w in self.derived(self._weights))
         none, told, hidden, cell = torch.zeros_like(bias[0, :, 0]), [], [], []
         for group in range(self.groups):
             weights = [

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from agents.kinematic.ready import Derives
 from questsim.skeleton import JOINT_PARENTS
 
 REACH = 2
@@ -124,29 +125,15 @@ def neighbour_mask(parents: Sequence[int], displacement: bool = False) -> Tensor
     return mask
 
 
-class _Masked(nn.Module):
-    """A layer whose weight is masked; while only answering it is masked once."""
+class _Masked(Derives):
+    """A layer whose weight is masked."""
 
     weight: nn.Parameter
     mask: Tensor
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._ready: Tensor | None = None
-
-    def train(self, mode: bool = True) -> _Masked:
-        """Switch to training or evaluation; forgets the weight kept for evaluation."""
-        self._ready = None
-        return super().train(mode)
-
     def masked_weight(self) -> Tensor:
         """The weight with zeros where the mask has them."""
-        if self._ready is not None and not torch.is_grad_enabled():
-            return self._ready
-        weight = self.weight * self.mask
-        if not self.training and not torch.is_grad_enabled():
-            self._ready = weight
-        return weight
+        return self.derived(lambda: self.weight * self.mask)
 
 
 class MaskedLinear(_Masked):
