@@ -13,10 +13,11 @@ import mujoco
 import numpy as np
 from mujoco import batch as mujoco_batch
 
-from envs import kernels
+from envs import footing, kernels
 from envs.config import EnvConfig
+from envs.footed_clip import footed_clip
 from envs.layout import SCAN_POINTS, observation_layout, observation_size
-from envs.placement import moved, placed_clip, turn_quat, turned
+from envs.placement import turn_quat, turned
 from envs.randomisation import varied_models
 from envs.reference import Reference
 from envs.sampler import Sampler
@@ -101,6 +102,11 @@ class BatchSim:
         self._privileged = np.array(
             self.config.privileged_frames if self.config.privileged else (), dtype=np.int64
         )
+        # The pose now; for teachers also the next, halfway to which their springs pull.
+        ahead = (0, 1, *self._privileged.tolist()) if self.config.privileged else (0,)
+        self._ahead, self._legs = np.unique(ahead), footing.legs()
+        self._slots = np.searchsorted(self._ahead, self._privileged)
+        self._target = footing.Target.of(n, len(self._ahead))
         self._weights, self._kernels = self.config.reward.weights, self.config.reward.kernels
         self.observation = np.zeros((n, observation_size(self.layout)), np.float32)
         self.reward, self.reward_terms = np.zeros(n), np.zeros((n, len(TERMS)))
@@ -182,10 +188,11 @@ class BatchSim:
 
         Args:
             i: the simulation.
-            clip: the one it plays; its reference is this, scaled, moved to its place and lifted.
+            clip: the one it plays; its reference is this, scaled, moved to its place and
+                put on its feet on the ground there.
         """
         scaled = clip.scaled(float(self.heights[i]))
-        return placed_clip(scaled, self.placement.place[i], self.placement.field)
+        return footed_clip(scaled, self.placement.place[i], self.placement.field)
 
     @property
     def foot_clearance(self) -> np.ndarray:
@@ -228,6 +235,7 @@ class BatchSim:
         rows = self.frame[ids]
         self.placement.draw(ids, clips)
         self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE.value))
+        self._run(self._target_chunk, [(0, len(ids))], ids)
         self._pose(ids, rows)
         self._around.begin(ids, rows, clips)
         self.batch.forward(ids, stage=_CURRENT)
@@ -243,20 +251,16 @@ class BatchSim:
         qpos[:, :3] *= scale
         qvel[:, :3] *= scale
         if self.placement.field is not None:
-            self._put_on_ground(ids, rows, qpos, qvel)
+            self._put_on_ground(ids, qpos, qvel)
         self.qpos[ids, :_NUM_POSITIONS], self.qvel[ids, :_NUM_VELOCITIES] = qpos, qvel
 
-    def _put_on_ground(
-        self, ids: np.ndarray, rows: np.ndarray, qpos: np.ndarray, qvel: np.ndarray
-    ) -> None:
-        """Move poses to their places, and up until no sole is below the surface."""
-        field, place = self.placement.field, self.placement.place[ids]
-        assert field is not None
-        qpos[:, :3], qvel[:, :3] = moved(place, qpos[:, :3]), turned(place, qvel[:, :3])
+    def _put_on_ground(self, ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
+        """Move poses to their places, with their feet on the ground, and no sole below it."""
+        place, target = self.placement.place[ids], self._target
+        qpos[:, :3], qpos[:, 7:] = target.position[ids, 0, 0], target.angles[ids, 0]
         qpos[:, 3:7] = rot.quat_multiply(turn_quat(place), qpos[:, 3:7])
-        qpos[:, 2] += field.ground_at(qpos)
-        step = qvel[:, :3] * [1.0, 1.0, 0.0] / FPS
-        qvel[:, 2] += FPS * (field.ground_at(qpos) - field.ground_at(qpos[:, :3] - step))
+        qvel[:, :3] = turned(place, qvel[:, :3])
+        qvel[:, 2] += target.rise[ids, 0, 0]
         self.qpos[ids, :_NUM_POSITIONS] = qpos
         self.batch.forward(ids, stage=int(mujoco.mjtStage.mjSTAGE_POS.value))
         qpos[:, 2] += np.maximum(-self._clearance(ids).min(axis=-1), 0.0)
@@ -297,6 +301,7 @@ class BatchSim:
             np.negative(feet, out=self.contact_force)
         self.frame += 1
         np.minimum(self.frame, self._end - 1, out=self.frame)
+        self._run(self._target_chunk, self._chunks, self._all)
         self._run(self._score_chunk, self._chunks)
         self.unstable[:] = (self.batch.warning[:, _UNSTABLE, 1] > 0).any(axis=1)
         self.unstable |= ~np.isfinite(self.error + self.reward)
@@ -325,13 +330,20 @@ class BatchSim:
             for future in done:
                 future.result()
 
+    def _target_chunk(self, first: int, last: int, ids: np.ndarray) -> None:
+        reference, target = self.reference, self._target
+        footing.fill(
+            first, last, ids, self.frame, self._begin, self._end, self._ahead, self._ratio,
+            reference.qpos, reference.position, reference.quat, self.placement.place,
+            self._surface, self._ground, self._grid, self._legs,
+            target.angles, target.position, target.quat, target.rise,
+        )  # fmt: skip
+
     def _score_chunk(self, first: int, last: int) -> None:
-        reference = self.reference
         kernels.score(
             first, last, self.qpos, self.qvel, self._xpos, self._xquat, self._cvel, self._com,
             self.contact_force, self._previous_force, self.frame, self._ratio,
-            reference.qpos, reference.qvel, reference.position, reference.quat, reference.velocity,
-            self.placement.place, self._ground, self._grid,
+            self.reference.qvel, self.reference.velocity, self._target, self.placement.place,
             self._kernels, self._weights, self.reward_terms, self.reward, self.error,
         )  # fmt: skip
 
@@ -344,11 +356,11 @@ class BatchSim:
         kernels.observe(
             first, last, ids, self.qpos, self.qvel, self._xpos, self._xquat, self._cvel,
             self._com, self.contact_force, self.frame, self._begin, self._end, self._ratio,
-            self.heights, reference.qpos, reference.qvel, reference.position, reference.quat,
-            reference.velocity, reference.angular_velocity, reference.torque,
-            reference.dev_position, reference.dev_quat, self.signals.late, self.signals.newest,
-            self._user_offsets, self._privileged, self.placement.place, self._ground, self._grid,
-            self._floor, self.observation,
+            self.heights, reference.qvel, reference.velocity, reference.angular_velocity,
+            reference.torque, self._target, reference.dev_position, reference.dev_quat,
+            self.signals.late, self.signals.newest, self._user_offsets, self._privileged,
+            self._slots, self.placement.place, self._ground, self._grid, self._floor,
+            self.observation,
         )  # fmt: skip
         if "height_scan" in self.layout:
             column = self.layout["height_scan"].start
@@ -396,6 +408,7 @@ class BatchSim:
         if "surroundings" in state:  # earlier versions knew of none
             self._around.set_state(state["surroundings"])
         self.unstable_count = state["unstable_count"]
+        self._run(self._target_chunk, self._chunks, self._all)
         self._observe(self._all)
 
     def close(self) -> None:

@@ -9,14 +9,11 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Any
 
-import numba
 import numpy as np
 
-from questsim.motion.clip import FPS
-
-_jit: Any = numba.njit(cache=True, nogil=True, error_model="numpy")
+from envs.lookups import ground_at, heading, height_at, placed, turned, unplaced
+from envs.lookups import jit as _jit
 
 
 @_jit
@@ -49,99 +46,10 @@ def _turn_between(c, s, p, q, out, at):
 
 
 @_jit
-def _heading(w, x, y, z):
-    """Cosine and sine of the heading of a quaternion."""
-    forward_x = 1 - 2 * (y * y + z * z)
-    forward_y = 2 * (w * z + x * y)
-    length = math.sqrt(forward_x * forward_x + forward_y * forward_y)
-    if length < 1e-9:
-        return 1.0, 0.0
-    return forward_x / length, forward_y / length
-
-
-@_jit
-def _cell(values, grid, x, y):
-    """Row, column and the place within the cell of a point on a grid; beyond the edge, its edge."""
-    rows, columns = values.shape
-    across = min(max((x - grid[0]) / grid[2], 0.0), columns - 1.0)
-    along = min(max((y - grid[1]) / grid[2], 0.0), rows - 1.0)
-    column, row = min(int(across), columns - 2), min(int(along), rows - 2)
-    return row, column, across - column, along - row
-
-
-@_jit
-def _ground_at(ground, grid, x, y):
-    """``HeightField.ground_at`` of one point; a field of one number is a plane at zero."""
-    if ground.size == 1:
-        return 0.0
-    row, column, u, v = _cell(ground, grid, x, y)
-    near = ground[row, column] * (1.0 - u) + ground[row, column + 1] * u
-    far = ground[row + 1, column] * (1.0 - u) + ground[row + 1, column + 1] * u
-    return near * (1.0 - v) + far * v
-
-
-@_jit
-def _height_at(height, grid, x, y):
-    """``HeightField.height_at`` of one point; a field of one number is a plane at zero."""
-    if height.size == 1:
-        return 0.0
-    row, column, u, v = _cell(height, grid, x, y)
-    low, right = height[row, column], height[row, column + 1]
-    up, far = height[row + 1, column], height[row + 1, column + 1]
-    if u >= v:
-        return low + u * (right - low) + v * (far - right)
-    return low + v * (up - low) + u * (far - up)
-
-
-@_jit
-def _lift(place, ground, grid, root_x, root_y):
-    """Height of the ground under a root of a clip that is played at ``place``."""
-    x, y = _placed(place, root_x, root_y)
-    return _ground_at(ground, grid, x, y)
-
-
-@_jit
-def _lift_and_rise(place, ground, grid, ref_qpos, before, row, scale):
-    """Height of the ground under the root in a row, and its change in m/s since the row before."""
-    lift = _lift(place, ground, grid, ref_qpos[row, 0] * scale, ref_qpos[row, 1] * scale)
-    earlier = _lift(place, ground, grid, ref_qpos[before, 0] * scale, ref_qpos[before, 1] * scale)
-    return lift, FPS * (lift - earlier)
-
-
-@_jit
-def _placed(place, x, y):
-    """Where a point of a clip lies in the world."""
-    turned_x, turned_y = _turned(place, x, y)
-    return place[0] + turned_x, place[1] + turned_y
-
-
-@_jit
-def _turned(place, x, y):
-    """A horizontal vector of a clip in the world."""
-    return place[2] * x - place[3] * y, place[3] * x + place[2] * y
-
-
-@_jit
-def _unplaced(place, quat):
-    """A quaternion of the world as the clip has it, before it was turned to its place."""
-    half_c = math.sqrt(max(0.5 * (1.0 + place[2]), 0.0))
-    half_s = math.sqrt(max(0.5 * (1.0 - place[2]), 0.0))
-    if place[3] < 0.0:
-        half_s = -half_s
-    w, x, y, z = quat[0], quat[1], quat[2], quat[3]
-    return (
-        half_c * w + half_s * z,
-        half_c * x + half_s * y,
-        half_c * y - half_s * x,
-        half_c * z - half_s * w,
-    )
-
-
-@_jit
 def observe(
     first, last, ids, qpos, qvel, xpos, xquat, cvel, com, force, frame, begin, end, ratio, height,
-    ref_qpos, ref_qvel, ref_position, ref_quat, ref_velocity, ref_angular_velocity, ref_torque,
-    dev_position, dev_quat, late, newest, offsets, privileged, place, ground, grid, floor, obs,
+    ref_qvel, ref_velocity, ref_angular_velocity, ref_torque, target, dev_position, dev_quat, late,
+    newest, offsets, privileged, slots, place, ground, grid, floor, obs,
 ):  # fmt: skip
     """Fill ``obs[ids[first:last]]``.
 
@@ -155,26 +63,29 @@ def observe(
         height: ``(n,)`` metres.
         ref_*, dev_*: reference rows of all clips, one after the other; ``ref_torque`` is empty
             where nothing is privileged.
+        target: where the reference asks the links to be, a ``footing.Target`` of this frame, the
+            next and those of ``privileged``.
         late: ``(n,)`` frames by which the devices are late.
         newest: ``(n, devices)`` the last row that each device can show.
         offsets: ``(k,)`` frames ahead of each block of o_user.
         privileged: ``(p,)`` frames ahead of each privileged block.
+        slots: ``(p,)`` their places in the target.
         place: ``(n, 4)`` where each clip is played: x, y, cosine and sine of its turn.
         ground: ``(rows, columns)`` height of the floor on a grid, or one number for a plane.
         grid: x and y of the grid's first point, and its distance of points.
         floor: ``(n,)`` takes the height of the floor below the root, metres.
         obs: ``(n, size)`` float32.
     """
-    links = ref_position.shape[1]
-    dofs = ref_qpos.shape[1] - 7
+    links = ref_velocity.shape[1]
+    dofs = ref_qvel.shape[1] - 6
     devices = dev_position.shape[1]
     for index in range(first, last):
         i = ids[index]
         out = obs[i]
         root_x, root_y = qpos[i, 0], qpos[i, 1]
-        below = _ground_at(ground, grid, root_x, root_y)
+        below = ground_at(ground, grid, root_x, root_y)
         floor[i] = below
-        c, s = _heading(qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6])
+        c, s = heading(qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6])
         # The heading as the clip sees it, before it was turned to its place.
         clip_c = c * place[i, 2] + s * place[i, 3]
         clip_s = s * place[i, 2] - c * place[i, 3]
@@ -208,7 +119,7 @@ def observe(
             shown = max(min(frame[i] + offsets[k] - late[i], end[i] - 1), begin[i])
             for d in range(devices):
                 row = min(shown, newest[i, d])
-                x, y = _placed(
+                x, y = placed(
                     place[i], dev_position[row, d, 0] * scale, dev_position[row, d, 1] * scale
                 )
                 # Devices keep their height above the user's own floor.
@@ -222,64 +133,53 @@ def observe(
         out[at] = height[i]
         at += 1
         for k in range(privileged.shape[0]):
-            row = min(frame[i] + privileged[k], end[i] - 1)
+            row, slot = min(frame[i] + privileged[k], end[i] - 1), slots[k]
             for j in range(dofs):
-                out[at] = ref_qpos[row, 7 + j]
+                out[at] = target.angles[i, slot, j]
                 out[at + dofs] = ref_qvel[row, 6 + j]
                 at += 1
             at += dofs
-            lift = _lift(place[i], ground, grid, ref_qpos[row, 0] * scale, ref_qpos[row, 1] * scale)
             for b in range(links):
-                x, y = _placed(
-                    place[i], ref_position[row, b, 0] * scale, ref_position[row, b, 1] * scale
-                )
-                z = ref_position[row, b, 2] * scale + lift
+                wanted, quat = target.position[i, slot, b], target.quat[i, slot, b]
                 _turn_back(
-                    c, s, x - xpos[i, b + 1, 0], y - xpos[i, b + 1, 1], z - xpos[i, b + 1, 2],
-                    out, at + 3 * b,
+                    c, s, wanted[0] - xpos[i, b + 1, 0], wanted[1] - xpos[i, b + 1, 1],
+                    wanted[2] - xpos[i, b + 1, 2], out, at + 3 * b,
                 )  # fmt: skip
                 _columns(
-                    clip_c, clip_s, ref_quat[row, b, 0], ref_quat[row, b, 1],
-                    ref_quat[row, b, 2], ref_quat[row, b, 3], out, at + 3 * links + 6 * b,
+                    clip_c, clip_s, quat[0], quat[1], quat[2], quat[3],
+                    out, at + 3 * links + 6 * b,
                 )  # fmt: skip
             at += 9 * links
         if privileged.shape[0] > 0:
             row, after = frame[i], min(frame[i] + 1, end[i] - 1)
             for j in range(dofs):
-                out[at + j] = 0.5 * (ref_qpos[row, 7 + j] + ref_qpos[after, 7 + j])
+                out[at + j] = 0.5 * (target.angles[i, 0, j] + target.angles[i, 1, j])
                 # Of limits that grow as s^3; what gravity asks of a body grows as s^4.
                 torque = 0.5 * (ref_torque[row, j] + ref_torque[after, j])
                 out[at + dofs + j] = scale * torque
             at += 2 * dofs
-            before = max(row - 1, begin[i])
-            lift, rise = _lift_and_rise(place[i], ground, grid, ref_qpos, before, row, scale)
             for b in range(links):
                 x, y, z = xpos[i, b + 1, 0], xpos[i, b + 1, 1], xpos[i, b + 1, 2]
-                ref_x, ref_y = _placed(
-                    place[i], ref_position[row, b, 0] * scale, ref_position[row, b, 1] * scale
-                )
-                _turn_back(
-                    c, s, ref_x - x, ref_y - y, ref_position[row, b, 2] * scale + lift - z,
-                    out, at,
-                )  # fmt: skip
+                wanted = target.position[i, 0, b]
+                _turn_back(c, s, wanted[0] - x, wanted[1] - y, wanted[2] - z, out, at)
                 _turn_between(
-                    clip_c, clip_s, _unplaced(place[i], xquat[i, b + 1]), ref_quat[row, b],
+                    clip_c, clip_s, unplaced(place[i], xquat[i, b + 1]), target.quat[i, 0, b],
                     out, at + 3,
                 )  # fmt: skip
                 wx, wy, wz = cvel[i, b + 1, 0], cvel[i, b + 1, 1], cvel[i, b + 1, 2]
                 rx, ry, rz = x - com_x, y - com_y, z - com_z
-                ref_x, ref_y = _turned(
+                ref_x, ref_y = turned(
                     place[i], ref_velocity[row, b, 0] * scale, ref_velocity[row, b, 1] * scale
                 )
                 _turn_back(
                     c, s,
                     ref_x - (cvel[i, b + 1, 3] + wy * rz - wz * ry),
                     ref_y - (cvel[i, b + 1, 4] + wz * rx - wx * rz),
-                    ref_velocity[row, b, 2] * scale + rise
+                    ref_velocity[row, b, 2] * scale + target.rise[i, 0, b]
                     - (cvel[i, b + 1, 5] + wx * ry - wy * rx),
                     out, at + 6,
                 )  # fmt: skip
-                ref_x, ref_y = _turned(
+                ref_x, ref_y = turned(
                     place[i], ref_angular_velocity[row, b, 0], ref_angular_velocity[row, b, 1]
                 )
                 _turn_back(
@@ -292,24 +192,21 @@ def observe(
 @_jit
 def score(
     first, last, qpos, qvel, xpos, xquat, cvel, com, force, previous_force, frame, ratio,
-    ref_qpos, ref_qvel, ref_position, ref_quat, ref_velocity, place, ground, grid,
-    kernels, weights, terms, reward, error,
+    ref_qvel, ref_velocity, target, place, kernels, weights, terms, reward, error,
 ):  # fmt: skip
     """Fill ``terms`` ``(n, 6)``, ``reward`` ``(n,)`` and mean link ``error`` ``(n,)`` in metres.
 
-    ``frame`` is the reference row of the new state, which is not a clip's first; see ``observe``
-    for the rest. The reference is lifted by the ground under its root.
+    ``frame`` is the reference row of the new state, and the first of ``target`` what it asks for;
+    see ``observe`` for the rest.
     """
-    links = ref_position.shape[1]
-    dofs = ref_qpos.shape[1] - 7
+    links = ref_velocity.shape[1]
+    dofs = ref_qvel.shape[1] - 6
     for i in range(first, last):
         row, scale = frame[i], ratio[i]
-        before = max(row - 1, 0)
-        lift, rise = _lift_and_rise(place[i], ground, grid, ref_qpos, before, row, scale)
         angles = 0.0
         velocities = 0.0
         for j in range(dofs):
-            difference = qpos[i, 7 + j] - ref_qpos[row, 7 + j]
+            difference = qpos[i, 7 + j] - target.angles[i, 0, j]
             angles += difference * difference
             difference = qvel[i, 6 + j] - ref_qvel[row, 6 + j]
             velocities += difference * difference
@@ -318,29 +215,27 @@ def score(
         distance = 0.0
         turn = 0.0
         for b in range(links):
-            quat = _unplaced(place[i], xquat[i, b + 1])
+            quat = unplaced(place[i], xquat[i, b + 1])
             dot = 0.0
             for k in range(4):
-                dot += quat[k] * ref_quat[row, b, k]
+                dot += quat[k] * target.quat[i, 0, b, k]
             angle = 2.0 * math.acos(min(abs(dot), 1.0))
             turn += angle * angle
             x, y, z = xpos[i, b + 1, 0], xpos[i, b + 1, 1], xpos[i, b + 1, 2]
-            ref_x, ref_y = _placed(
-                place[i], ref_position[row, b, 0] * scale, ref_position[row, b, 1] * scale
-            )
-            dx, dy = x - ref_x, y - ref_y
-            dz = z - (ref_position[row, b, 2] * scale + lift)
+            wanted = target.position[i, 0, b]
+            dx, dy, dz = x - wanted[0], y - wanted[1], z - wanted[2]
             square = dx * dx + dy * dy + dz * dz
             squared += square
             distance += math.sqrt(square)
             wx, wy, wz = cvel[i, b + 1, 0], cvel[i, b + 1, 1], cvel[i, b + 1, 2]
             rx, ry, rz = x - com[i, 1, 0], y - com[i, 1, 1], z - com[i, 1, 2]
-            ref_x, ref_y = _turned(
+            ref_x, ref_y = turned(
                 place[i], ref_velocity[row, b, 0] * scale, ref_velocity[row, b, 1] * scale
             )
             dx = cvel[i, b + 1, 3] + wy * rz - wz * ry - ref_x
             dy = cvel[i, b + 1, 4] + wz * rx - wx * rz - ref_y
-            dz = cvel[i, b + 1, 5] + wx * ry - wy * rx - (ref_velocity[row, b, 2] * scale + rise)
+            dz = cvel[i, b + 1, 5] + wx * ry - wy * rx
+            dz -= ref_velocity[row, b, 2] * scale + target.rise[i, 0, b]
             speed += dx * dx + dy * dy + dz * dz
         drop = 0.0
         for foot in range(2):
@@ -370,11 +265,11 @@ def scan(first, last, ids, qpos, points, height, grid, floor, column, obs):
     """
     for index in range(first, last):
         i = ids[index]
-        c, s = _heading(qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6])
+        c, s = heading(qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6])
         for k in range(points.shape[0]):
             x = qpos[i, 0] + c * points[k, 0] - s * points[k, 1]
             y = qpos[i, 1] + s * points[k, 0] + c * points[k, 1]
-            obs[i, column + k] = _height_at(height, grid, x, y) - floor[i]
+            obs[i, column + k] = height_at(height, grid, x, y) - floor[i]
 
 
 def chunks(count: int, parts: int) -> list[tuple[int, int]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from envs.terrain import COURSE, MARGIN_M, Terrain, height_field, tile_centre
 from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.heightfield import HeightField
-from questsim.motion.clip import FPS, Clip
 
 _ANGLES = {"up": 0.0, "down": np.pi, "across": 0.5 * np.pi}
 _LEAST_TRAVEL_M = 0.5
@@ -157,37 +155,3 @@ def moved(place: np.ndarray, points: np.ndarray) -> np.ndarray:
 def turn_quat(place: np.ndarray) -> np.ndarray:
     """The turns of places ``(m, 4)`` as quaternions ``(m, 4)``, wxyz."""
     return rot.yaw_quat(np.arctan2(place[:, 3], place[:, 2]))
-
-
-def placed_clip(clip: Clip, place: np.ndarray, field: HeightField | None) -> Clip:
-    """A clip as it is to be followed in the world: moved, turned and lifted by the ground.
-
-    Args:
-        clip: of the avatar's height.
-        place: ``(4,)`` where it is played.
-        field: the ground, None for a plane.
-    """
-    if field is None:
-        return clip
-    many = np.broadcast_to(place, (len(clip), 4))
-    turn = turn_quat(many)
-    position = moved(many, clip.link_position)
-    lift = field.ground_at(position[:, 0])
-    # Backward, as the reward's kernel takes it; the first frame as the second.
-    rise = FPS * np.diff(lift, prepend=lift[0])
-    rise[0] = rise[1] if len(rise) > 1 else 0.0
-    position[..., 2] += lift[:, None]
-    velocity = turned(many, clip.link_velocity)
-    velocity[..., 2] += rise[:, None]
-    qpos, qvel = clip.qpos.copy(), clip.qvel.copy()
-    qpos[:, :3], qvel[:, :3] = position[:, 0], velocity[:, 0]
-    qpos[:, 3:7] = rot.quat_multiply(turn, clip.qpos[:, 3:7])
-    return replace(
-        clip,
-        qpos=qpos,
-        qvel=qvel,
-        link_position=position,
-        link_quat=rot.quat_multiply(turn[:, None], clip.link_quat),
-        link_velocity=velocity,
-        link_angular_velocity=turned(many, clip.link_angular_velocity),
-    )

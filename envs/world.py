@@ -6,10 +6,15 @@ from dataclasses import replace
 from functools import lru_cache
 
 import mujoco
+import numpy as np
 
 from envs.objects import WorldObject, add_objects
 from envs.terrain import Terrain, height_field
 from questsim.body import Body, build_body, scaled_spec
+
+_SOLE = "sole"
+_GROUND = 2
+"""The bit of what touches ground that is not a plane."""
 
 
 def build_world(
@@ -49,8 +54,39 @@ def _build(
     if terrain is not None:
         height_field(terrain).replace_floor(spec)
     add_objects(spec, objects, height_m)
+    if terrain is not None:
+        _stand_on_points(spec)
     # Limits and damping are the avatar's, whatever is around it.
     return replace(build_body(height_m, preset, self_collision), model=spec.compile())
+
+
+def _stand_on_points(spec: mujoco.MjSpec) -> None:
+    """Let spheres along the soles' capsules touch the ground in their stead.
+
+    A capsule that lies on a plane touches it at both ends. On a triangle of a height field MuJoCo
+    finds one point of it, somewhere along it: feet rock, sink in by centimetres and creep
+    downhill. Spheres give the points that a plane gives, and one between for ridges.
+    """
+    for geom in list(spec.geoms):
+        if geom.classname.name == _SOLE:
+            ends = np.asarray(geom.fromto).reshape(2, 3)
+            for number, share in enumerate((0.0, 0.5, 1.0)):
+                geom.parent.add_geom(
+                    name=f"{geom.name}_{number}",
+                    type=mujoco.mjtGeom.mjGEOM_SPHERE,
+                    pos=(1.0 - share) * ends[0] + share * ends[1],
+                    size=[geom.size[0], 0.0, 0.0],
+                    mass=0.0,
+                    contype=_GROUND,
+                    conaffinity=0,
+                    condim=geom.condim,
+                    friction=geom.friction,
+                    priority=geom.priority,
+                    group=geom.group,
+                )
+        elif geom.contype:
+            geom.contype |= _GROUND
+    spec.geom("floor").conaffinity = _GROUND
 
 
 def collide_with_itself(spec: mujoco.MjSpec) -> None:

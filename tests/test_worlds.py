@@ -153,13 +153,15 @@ def test_the_table_needs_a_walk_long_enough() -> None:
         run_worlds(ZeroAgent(), CLIPS[1:], env_config(ZeroAgent()))
 
 
-def test_rollouts_on_a_terrain_are_scored_against_the_lifted_clip() -> None:
+def test_rollouts_on_a_terrain_are_scored_against_the_clip_on_its_feet_there() -> None:
     config = replace(env_config(ZeroAgent()), terrain=TERRAINS["slope"])
     rollout = roll_out(ZeroAgent(), CLIPS[1:2], config)[0]
     field = height_field(TERRAINS["slope"])
     pelvis = rollout.reference.link_position[:, 0]
     lift = pelvis[:, 2] - CLIPS[1].link_position[:, 0, 2]
-    np.testing.assert_allclose(lift, field.ground_at(pelvis), atol=1e-6)
+    # Lower only where a standing foot would not reach its ground.
+    below = field.ground_at(pelvis) - lift
+    assert below.min() > -1e-6 and below.max() < 0.08
     assert rollout.link_error_m[0] < 0.15
     assert np.abs(rollout.foot_clearance[0]).max() < 0.2
 

@@ -1,0 +1,55 @@
+"""A whole clip as it is to be followed in the world."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from envs.footing import Target, fill, legs
+from envs.placement import turn_quat, turned
+from questsim import rotations as rot
+from questsim.body import DEFAULT_HEIGHT_M
+from questsim.heightfield import HeightField
+from questsim.motion.clip import Clip
+
+
+def footed_clip(clip: Clip, place: np.ndarray, field: HeightField | None) -> Clip:
+    """A clip moved, turned, lifted by the ground, and with its feet on it.
+
+    Args:
+        clip: of the avatar's height.
+        place: ``(4,)`` where it is played.
+        field: the ground, None for a plane.
+    """
+    if field is None:
+        return clip
+    frames = len(clip)
+    common = clip.scaled(DEFAULT_HEIGHT_M)
+    target, rows = Target.of(frames, 1), np.arange(frames)
+    many = np.broadcast_to(place, (frames, 4)).copy()
+    fill(
+        0, frames, rows, rows, np.zeros(frames, np.int64), np.full(frames, frames),
+        np.zeros(1, np.int64), np.full(frames, clip.height_m / DEFAULT_HEIGHT_M),
+        common.qpos, common.link_position, common.link_quat,
+        many, field.height, field.ground, np.array([*field.origin, field.cell_m]), legs(),
+        target.angles, target.position, target.quat, target.rise,
+    )  # fmt: skip
+    turn = turn_quat(many)
+    position, rise = target.position[:, 0], target.rise[:, 0].copy()
+    rise[0] = rise[1] if frames > 1 else 0.0
+    velocity = turned(many, clip.link_velocity)
+    velocity[..., 2] += rise
+    qpos, qvel = clip.qpos.copy(), clip.qvel.copy()
+    qpos[:, :3], qvel[:, :3] = position[:, 0], velocity[:, 0]
+    qpos[:, 3:7] = rot.quat_multiply(turn, clip.qpos[:, 3:7])
+    qpos[:, 7:] = target.angles[:, 0]
+    return replace(
+        clip,
+        qpos=qpos,
+        qvel=qvel,
+        link_position=position,
+        link_quat=rot.quat_multiply(turn[:, None], target.quat[:, 0]),
+        link_velocity=velocity,
+        link_angular_velocity=turned(many, clip.link_angular_velocity),
+    )

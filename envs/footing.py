@@ -1,0 +1,385 @@
+"""The reference on ground that is not level: each foot on the ground below it.
+
+A clip is recorded on a level floor. Where it is played in the world it is lifted by the ground
+under the pelvis; then each foot is moved by the ground below it, turned with it as far as it
+bears on it, and the leg between bends or stretches in the plane it had (the law of cosines). A
+pelvis from which a standing foot could not reach its ground is lowered. On a plane, or level
+ground, nothing changes.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from envs.lookups import ground_at, height_at, jit, placed
+from questsim.body import build_body
+from questsim.motion.clip import FPS
+from questsim.motion.kinematics import link_offsets, sole_points
+from questsim.skeleton import DOFS, LINKS, NUM_DOFS, NUM_LINKS
+
+AIRBORNE_M = 0.1
+"""A foot whose sole is this high above the floor does not heed its ground any more."""
+STEEPEST_RAD = 0.4
+"""Feet are not turned further than this: an ankle's reach."""
+_STRAIGHT = 0.99
+"""Legs are stretched to this share of their length, if they were not further before."""
+_LIMIT = 0.9999
+"""Beyond it the angle of the knee is not told by the distance from hip to ankle."""
+
+
+class Legs(NamedTuple):
+    """What legs are like on the 1.75 m body.
+
+    Attributes:
+        hip: ``(2, 3)`` origin of the thighs in the pelvis.
+        length: ``(2,)`` metres of thigh and shin, both along -z.
+        soles: ``(2, 4, 3)`` points of the soles in the feet.
+        range: ``(33, 2)`` of the hinges in rad.
+    """
+
+    hip: np.ndarray
+    length: np.ndarray
+    soles: np.ndarray
+    range: np.ndarray
+
+
+class Target(NamedTuple):
+    """What ``n`` simulations are asked to do in ``k`` frames, in the world.
+
+    Attributes:
+        angles: ``(n, k, 33)`` rad.
+        position: ``(n, k, 16, 3)`` of the links in metres, in the world.
+        quat: ``(n, k, 16, 4)`` of the links, as the clip has them before it is turned to its place.
+        rise: ``(n, k, 16)`` what the ground adds to the links' vertical velocity in m/s.
+    """
+
+    angles: np.ndarray
+    position: np.ndarray
+    quat: np.ndarray
+    rise: np.ndarray
+
+    @staticmethod
+    def of(simulations: int, frames: int) -> Target:
+        """Room for that many."""
+        shape = (simulations, frames)
+        return Target(
+            np.zeros((*shape, NUM_DOFS)),
+            np.zeros((*shape, NUM_LINKS, 3)),
+            np.zeros((*shape, NUM_LINKS, 4)),
+            np.zeros((*shape, NUM_LINKS)),
+        )
+
+
+@lru_cache(maxsize=1)
+def legs() -> Legs:
+    """The legs of ``assets/mjcf/humanoid.xml``.
+
+    Raises:
+        AssertionError: the MJCF's legs are not what the kernel below solves.
+    """
+    offset = link_offsets()
+    for side, first in (("left", 0), ("right", 6)):
+        names = tuple(f"{side}_{d}" for d in ("hip_y", "hip_x", "hip_z", "knee_y", "ankle_y"))
+        assert DOFS[first : first + 5] == names and DOFS[first + 5] == f"{side}_ankle_x"
+    assert LINKS[1:7] == tuple(
+        f"{side}_{part}" for side in ("left", "right") for part in ("thigh", "shin", "foot")
+    )
+    assert not offset[[2, 3, 5, 6], :2].any() and np.allclose(offset[[2, 3]], offset[[5, 6]])
+    model = build_body().model
+    return Legs(
+        hip=offset[[1, 4]],
+        length=-offset[[2, 3], 2],
+        soles=sole_points(),
+        range=np.array([model.joint(name).range for name in DOFS]),
+    )
+
+
+@jit
+def _product(p, q):
+    """Product of two quaternions, as tuples."""
+    return (
+        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
+        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
+        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
+        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
+    )
+
+
+@jit
+def _rotated(q, x, y, z):
+    """A vector turned by a quaternion."""
+    tx = 2.0 * (q[2] * z - q[3] * y)
+    ty = 2.0 * (q[3] * x - q[1] * z)
+    tz = 2.0 * (q[1] * y - q[2] * x)
+    return (
+        x + q[0] * tx + q[2] * tz - q[3] * ty,
+        y + q[0] * ty + q[3] * tx - q[1] * tz,
+        z + q[0] * tz + q[1] * ty - q[2] * tx,
+    )
+
+
+@jit
+def _about(axis, angle):
+    """The turn about axis 0, 1 or 2."""
+    s = math.sin(0.5 * angle)
+    return (
+        math.cos(0.5 * angle),
+        s if axis == 0 else 0.0,
+        s if axis == 1 else 0.0,
+        s if axis == 2 else 0.0,
+    )
+
+
+@jit
+def _between(ax, ay, az, bx, by, bz):
+    """The shortest turn from one direction to another that is not opposite."""
+    norm = math.sqrt((ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz))
+    w = norm + ax * bx + ay * by + az * bz
+    x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    length = math.sqrt(w * w + x * x + y * y + z * z)
+    if length < 1e-12:
+        return 1.0, 0.0, 0.0, 0.0
+    return w / length, x / length, y / length, z / length
+
+
+@jit
+def _angles_yxz(q):
+    """Angles about y, x and z, in this order, of a quaternion."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    about_x = math.asin(min(max(2.0 * (w * x - y * z), -1.0), 1.0))
+    about_y = math.atan2(2.0 * (x * z + w * y), 1.0 - 2.0 * (x * x + y * y))
+    about_z = math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z))
+    return about_y, about_x, about_z
+
+
+@jit
+def _bearing(place, surface, ground, grid, position, quat, soles, scale, lift):
+    """How the ground moves a foot.
+
+    Args:
+        place: of the clip.
+        surface, ground, grid: the terrain, see ``kernels.observe``.
+        position, quat: ``(3,)`` metres and ``(4,)`` of the foot on the level floor.
+        soles: ``(4, 3)`` points of its sole.
+        scale: of body and clip.
+        lift: of the clip, metres.
+
+    Returns:
+        Share 0 to 1 by which the foot bears on the ground, the ankle's new x, y and z with the clip
+        not lifted yet, and the turn as a quaternion.
+    """
+    q = (quat[0], quat[1], quat[2], quat[3])
+    ahead_x, ahead_y, _ = _rotated(q, 1.0, 0.0, 0.0)
+    length = math.sqrt(ahead_x * ahead_x + ahead_y * ahead_y)
+    if length < 1e-6:
+        ahead_x, ahead_y, length = 1.0, 0.0, 1.0
+    ahead_x, ahead_y = ahead_x / length, ahead_y / length
+    middle_x, middle_y, lowest = 0.0, 0.0, 1e9
+    for k in range(4):
+        x, y, z = _rotated(q, soles[k, 0] * scale, soles[k, 1] * scale, soles[k, 2] * scale)
+        middle_x += 0.25 * (x + position[0])
+        middle_y += 0.25 * (y + position[1])
+        lowest = min(lowest, z + position[2])
+    # A plane through the ground under the four points, by least squares along and aside.
+    mean, highest = 0.0, -1e9
+    along_height, along_square, aside_height, aside_square = 0.0, 0.0, 0.0, 0.0
+    for k in range(4):
+        x, y, _ = _rotated(q, soles[k, 0] * scale, soles[k, 1] * scale, soles[k, 2] * scale)
+        x, y = x + position[0], y + position[1]
+        world_x, world_y = placed(place, x, y)
+        height = height_at(surface, grid, world_x, world_y)
+        along = (x - middle_x) * ahead_x + (y - middle_y) * ahead_y
+        aside = (y - middle_y) * ahead_x - (x - middle_x) * ahead_y
+        mean += 0.25 * height
+        highest = max(highest, height)
+        along_height += along * height
+        along_square += along * along
+        aside_height += aside * height
+        aside_square += aside * aside
+    least = 1e-4 * scale * scale
+    slope_along = along_height / max(along_square, least)
+    slope_aside = aside_height / max(aside_square, least)
+    over = 0.0
+    for k in range(4):
+        x, y, _ = _rotated(q, soles[k, 0] * scale, soles[k, 1] * scale, soles[k, 2] * scale)
+        x, y = x + position[0], y + position[1]
+        world_x, world_y = placed(place, x, y)
+        along = (x - middle_x) * ahead_x + (y - middle_y) * ahead_y
+        aside = (y - middle_y) * ahead_x - (x - middle_x) * ahead_y
+        plane = mean + slope_along * along + slope_aside * aside
+        over = max(over, height_at(surface, grid, world_x, world_y) - plane)
+    share = min(max(1.0 - lowest / (AIRBORNE_M * scale), 0.0), 1.0)
+    share = share * share * (3.0 - 2.0 * share)
+    world_x, world_y = placed(place, middle_x, middle_y)
+    clear = max(ground_at(ground, grid, world_x, world_y), highest)
+    raised = share * (mean + over) + (1.0 - share) * clear - lift
+    # The ground's normal leans against the slope; the foot turns with it.
+    lean_x = slope_along * ahead_x - slope_aside * ahead_y
+    lean_y = slope_along * ahead_y + slope_aside * ahead_x
+    steepness = math.sqrt(lean_x * lean_x + lean_y * lean_y)
+    turn = (1.0, 0.0, 0.0, 0.0)
+    if steepness > 1e-9:
+        angle = share * min(math.atan(steepness), STEEPEST_RAD)
+        s = math.sin(0.5 * angle) / steepness
+        turn = (math.cos(0.5 * angle), s * lean_y, -s * lean_x, 0.0)
+    x, y, z = _rotated(turn, position[0] - middle_x, position[1] - middle_y, position[2])
+    return share, middle_x + x, middle_y + y, raised + z, turn
+
+
+@jit
+def _knee_turn(before, after, thigh, shin):
+    """By how much a knee bends further as the ankle's distance from the hip changes."""
+    most = _LIMIT * (thigh + shin)
+    least = abs(thigh - shin) + 1e-3
+    turn = 0.0
+    for distance, sign in ((before, 1.0), (after, -1.0)):
+        d = min(max(distance, least), most)
+        turn += sign * math.acos((thigh * thigh + shin * shin - d * d) / (2.0 * thigh * shin))
+    return turn
+
+
+@jit
+def _bend(leg, legs, scale, pelvis, hip, ankle, before, turn, foot, angles, position, quat):
+    """Solve a leg and write its hinges, places and orientations.
+
+    Args:
+        leg: 0 or 1.
+        legs: of the 1.75 m body.
+        scale: of the body.
+        pelvis: quaternion.
+        hip, ankle: where they are to be.
+        before: the ankle's distance from the hip until now.
+        turn: of the foot.
+        foot: its quaternion until now.
+        angles, position, quat: ``(33,)``, ``(16, 3)``, ``(16, 4)``, of the clip, to change.
+    """
+    first, link = 6 * leg, 1 + 3 * leg
+    thigh, shin = legs.length[0] * scale, legs.length[1] * scale
+    vx, vy, vz = ankle[0] - hip[0], ankle[1] - hip[1], ankle[2] - hip[2]
+    after = math.sqrt(vx * vx + vy * vy + vz * vz)
+    knee = angles[first + 3] + _knee_turn(before, after, thigh, shin)
+    knee = min(max(knee, legs.range[first + 3, 0]), legs.range[first + 3, 1])
+    upper = _product(
+        _product(_about(1, angles[first]), _about(0, angles[first + 1])),
+        _about(2, angles[first + 2]),
+    )
+    x, y, z = _rotated(_about(1, knee), 0.0, 0.0, -shin)
+    upper = _product(pelvis, upper)
+    x, y, z = _rotated(upper, x, y, z - thigh)
+    upper = _product(_between(x, y, z, vx, vy, vz), upper)
+    back = (pelvis[0], -pelvis[1], -pelvis[2], -pelvis[3])
+    hip_y, hip_x, hip_z = _angles_yxz(_product(back, upper))
+    angles[first] = min(max(hip_y, legs.range[first, 0]), legs.range[first, 1])
+    angles[first + 1] = min(max(hip_x, legs.range[first + 1, 0]), legs.range[first + 1, 1])
+    angles[first + 2] = min(max(hip_z, legs.range[first + 2, 0]), legs.range[first + 2, 1])
+    angles[first + 3] = knee
+    upper = _product(
+        _product(_about(1, angles[first]), _about(0, angles[first + 1])),
+        _about(2, angles[first + 2]),
+    )
+    upper = _product(pelvis, upper)
+    lower = _product(upper, _about(1, knee))
+    back = (lower[0], -lower[1], -lower[2], -lower[3])
+    ankle_y, ankle_x, _ = _angles_yxz(_product(back, _product(turn, foot)))
+    angles[first + 4] = min(max(ankle_y, legs.range[first + 4, 0]), legs.range[first + 4, 1])
+    angles[first + 5] = min(max(ankle_x, legs.range[first + 5, 0]), legs.range[first + 5, 1])
+    sole = _product(_product(lower, _about(1, angles[first + 4])), _about(0, angles[first + 5]))
+    x, y, z = _rotated(upper, 0.0, 0.0, -thigh)
+    knee_at = (hip[0] + x, hip[1] + y, hip[2] + z)
+    x, y, z = _rotated(lower, 0.0, 0.0, -shin)
+    for k in range(3):
+        position[link, k], position[link + 1, k] = hip[k], knee_at[k]
+    position[link + 2, 0] = knee_at[0] + x
+    position[link + 2, 1] = knee_at[1] + y
+    position[link + 2, 2] = knee_at[2] + z
+    for k in range(4):
+        quat[link, k], quat[link + 1, k], quat[link + 2, k] = upper[k], lower[k], sole[k]
+
+
+@jit
+def _on_feet(place, surface, ground, grid, legs, scale, lift, rise, angles, position, quat, rises):
+    """Put the feet of a pose, still at its clip's own place, on the ground."""
+    pelvis = (quat[0, 0], quat[0, 1], quat[0, 2], quat[0, 3])
+    left = _bearing(place, surface, ground, grid, position[3], quat[3], legs.soles[0], scale, lift)
+    right = _bearing(place, surface, ground, grid, position[6], quat[6], legs.soles[1], scale, lift)
+    straight = _STRAIGHT * scale * (legs.length[0] + legs.length[1])
+    drop = 0.0
+    for leg in range(2):
+        bearing = left if leg == 0 else right
+        x, y, z = _rotated(pelvis, legs.hip[leg, 0], legs.hip[leg, 1], legs.hip[leg, 2])
+        x, y, z = position[0, 0] + scale * x, position[0, 1] + scale * y, position[0, 2] + scale * z
+        ankle = position[3 + 3 * leg]
+        before = math.sqrt((ankle[0] - x) ** 2 + (ankle[1] - y) ** 2 + (ankle[2] - z) ** 2)
+        reach = max(before, straight)
+        across = (bearing[1] - x) ** 2 + (bearing[2] - y) ** 2
+        down = math.sqrt(max(reach * reach - across, 0.0))
+        drop = max(drop, bearing[0] * (z - bearing[3] - down))
+    for link in range(position.shape[0]):
+        position[link, 2] -= drop
+        rises[link] = rise
+    for leg in range(2):
+        share, ankle_x, ankle_y, ankle_z, turn = left if leg == 0 else right
+        x, y, z = _rotated(pelvis, legs.hip[leg, 0], legs.hip[leg, 1], legs.hip[leg, 2])
+        hip = (position[0, 0] + scale * x, position[0, 1] + scale * y, position[0, 2] + scale * z)
+        link = 3 + 3 * leg
+        before = math.sqrt(
+            (position[link, 0] - hip[0]) ** 2
+            + (position[link, 1] - hip[1]) ** 2
+            + (position[link, 2] - hip[2]) ** 2
+        )
+        foot = (quat[link, 0], quat[link, 1], quat[link, 2], quat[link, 3])
+        ankle = (ankle_x, ankle_y, ankle_z)
+        _bend(leg, legs, scale, pelvis, hip, ankle, before, turn, foot, angles, position, quat)
+        # A foot that bears on the ground does not rise with the pelvis.
+        rises[link] = (1.0 - share) * rise
+        rises[link - 1] = (1.0 - 0.5 * share) * rise
+
+
+@jit
+def fill(
+    first, last, ids, frame, begin, end, offsets, ratio, ref_qpos, ref_position, ref_quat,
+    place, surface, ground, grid, legs, angles, position, quat, rises,
+):  # fmt: skip
+    """Fill a ``Target`` of ``ids[first:last]``.
+
+    Args:
+        first, last, ids, frame, begin, end, ratio, ref_*, place, ground, grid: as of
+            ``kernels.observe``.
+        offsets: ``(k,)`` frames ahead.
+        surface: ``(rows, columns)`` height of what collides, on the grid of ``ground``.
+        legs: of the 1.75 m body.
+        angles, position, quat, rises: the target's fields.
+    """
+    level = ground.size == 1
+    for index in range(first, last):
+        i = ids[index]
+        scale = ratio[i]
+        for k in range(offsets.shape[0]):
+            row = min(frame[i] + offsets[k], end[i] - 1)
+            before = max(row - 1, begin[i])
+            for j in range(angles.shape[2]):
+                angles[i, k, j] = ref_qpos[row, 7 + j]
+            for b in range(position.shape[2]):
+                rises[i, k, b] = 0.0
+                for axis in range(3):
+                    position[i, k, b, axis] = ref_position[row, b, axis] * scale
+                for axis in range(4):
+                    quat[i, k, b, axis] = ref_quat[row, b, axis]
+            lift = 0.0
+            if not level:
+                x, y = placed(place[i], ref_qpos[row, 0] * scale, ref_qpos[row, 1] * scale)
+                lift = ground_at(ground, grid, x, y)
+                x, y = placed(place[i], ref_qpos[before, 0] * scale, ref_qpos[before, 1] * scale)
+                rise = FPS * (lift - ground_at(ground, grid, x, y))
+                _on_feet(
+                    place[i], surface, ground, grid, legs, scale, lift, rise,
+                    angles[i, k], position[i, k], quat[i, k], rises[i, k],
+                )  # fmt: skip
+            for b in range(position.shape[2]):
+                x, y = placed(place[i], position[i, k, b, 0], position[i, k, b, 1])
+                position[i, k, b, 0], position[i, k, b, 1] = x, y
+                position[i, k, b, 2] += lift
