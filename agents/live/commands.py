@@ -77,7 +77,7 @@ class DemoArgs(WatchArgs):
     seconds: float = 15.0
     """Length of the video."""
     push: float = 40.0
-    """Force in newtons of the pushes in the video, which systems without physics do without."""
+    """Force in newtons of the pushes in the video; 0, and without physics, for none."""
     seed: int = 0
     """Of the embedded motions."""
 

@@ -18,7 +18,7 @@ from questsim.viewing.page_scene import PageScene
 
 _SPEED_LABELS = {f"{speed:g} x": speed for speed in SPEEDS}
 _PLOT_HEIGHT = 130
-NO_PHYSICS = "no physics: no forces, pushes and objects do not move it"
+NO_PHYSICS = "no physics: pushes and objects do nothing"
 
 
 class PagePanel:
