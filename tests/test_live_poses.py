@@ -69,9 +69,12 @@ def single(motion, frame: int):
 
 
 class FarAway(KinematicSystem):
-    """Everything two metres beside the user."""
+    """Everything two metres beside the user; keeps where it was told that the head is."""
 
     name, devices, required = "far", SENSOR_SETS["H+2C"], ("headset",)
+
+    def __init__(self) -> None:
+        self.told: list[np.ndarray] = []
 
     def _begin(self, body) -> None:
         self._offsets = body.offsets
@@ -79,6 +82,7 @@ class FarAway(KinematicSystem):
     def _next(self, signals) -> Poses:
         rotations = np.zeros((1, NUM_JOINTS, 4))
         rotations[..., 0] = 1.0
+        self.told.append(signals.position[0, 0])
         root = signals.position[:, 0] + [2.0, 0.0, -0.8]
         return Poses(root, rotations, self._offsets[None])
 
@@ -86,8 +90,10 @@ class FarAway(KinematicSystem):
 # --- the avatar's pose --------------------------------------------------------------------------
 
 
-def test_single_poses_are_put_on_the_avatar_as_whole_motions_are():
+@pytest.mark.parametrize("floor_m", [0.0, 0.3])
+def test_single_poses_are_put_on_the_avatar_as_whole_motions_are(floor_m):
     motion = to_motion(CLIPS[0])
+    motion = replace(motion, root_position=motion.root_position + np.array([0.0, 0.0, floor_m]))
     whole = to_clip(motion)
     put = StreamRetargeter(motion, whole.height_m)
     for frame in (0, 17, 50):
@@ -141,13 +147,31 @@ def test_a_clip_that_begins_again_is_a_new_stream():
 
 
 def test_a_user_of_another_height_has_other_devices_and_another_avatar():
-    live = session(height_m=1.5)
-    shown = advance(live, 30)
-    assert shown.stage.height_m == 1.5
-    assert shown.error_m < 0.08
-    tall = session()
-    ratio = shown.position[0, 2] / advance(tall, 30).position[0, 2]
-    assert ratio == pytest.approx(1.5 / 1.75, abs=0.02)
+    heads, pelvises = [], []
+    for height in (1.75, 1.4):
+        system = FarAway()
+        live = DemoSession(
+            CLIPS,
+            {"far": lambda system=system: PoseDriver(system, USERS)},
+            Settings("first", "far", "", height_m=height),
+        )
+        advance(live, 1)
+        heads.append(system.told[0][2])
+        pelvises.append(advance(session(height_m=height), 30).position[0, 2])
+    assert heads[1] / heads[0] == pytest.approx(1.4 / 1.75)
+    assert pelvises[1] / pelvises[0] == pytest.approx(1.4 / 1.75, abs=0.02)
+
+
+def test_a_stream_that_begins_within_a_clip_is_told_nothing_of_before():
+    system = FarAway()
+    user = to_motion(CLIPS[0])
+    stream = PoseStream(system, user, 1.75, "H+2C")
+    stream.at(37)
+    assert len(system.told) == 3  # readings 60, 61 and 62 for 37 / 36 s
+    stream.at(37)
+    assert len(system.told) == 3
+    stream.at(38)
+    assert len(system.told) == 5
 
 
 def test_poses_are_lifted_by_the_ground_under_the_avatar():
