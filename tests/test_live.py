@@ -13,12 +13,13 @@ from helpers import swaying_clip
 from PIL import Image
 
 from agents.agent import Needs, ZeroAgent, load_agent, new_policy
-from agents.checkpoint import CARD_FILE, SHIPPED, WEIGHTS_FILE, save_policy
+from agents.checkpoint import CARD_FILE, WEIGHTS_FILE, save_policy
 from agents.live.commands import DemoArgs, PlayArgs, _clips, demo, drivers_beside, play
-from agents.live.drivers import TorqueDriver, usable_sensors
+from agents.live.drivers import TorqueDriver
 from agents.live.recording import record
 from agents.live.runner import Runner
 from agents.live.session import AFTER_FALL_S, DemoSession
+from agents.live.users import Recordings
 from agents.live.watcher import Watcher, load_checkpoint, newest_checkpoint
 from agents.spec import Layout, PolicySpec
 from envs.config import EnvConfig
@@ -30,6 +31,7 @@ from questsim.viewing import gl
 from questsim.viewing.live import Settings, Trace
 from questsim.viewing.live_film import Take, film, take_frames
 
+NOBODY = Recordings("synthetic", [])
 DRIVERS = {
     "demo": lambda: TorqueDriver(load_agent("demo")),
     "zero": lambda: TorqueDriver(ZeroAgent()),
@@ -356,10 +358,10 @@ def test_a_newer_checkpoint_takes_over_and_a_broken_one_does_not(tmp_path):
     checkpoint(run / "teacher" / "last", 1_000_000, 1)
     first = newest_checkpoint(run)
     assert first is not None
-    driver, note = load_checkpoint(run, first)
+    driver, note = load_checkpoint(run, first, NOBODY)
     assert note == "teacher/last, 1.00 M steps, 2 min"
     live = DemoSession([swaying_clip(frames=144)], {"run": lambda: driver}, Settings("sway", "run"))
-    watcher = Watcher(run, "run", live, first)
+    watcher = Watcher(run, "run", live, first, NOBODY)
     assert not watcher.poll()
     advance(live, 5)
     checkpoint(run / "teacher" / "last", 2_000_000, 2)
@@ -375,7 +377,7 @@ def test_a_newer_checkpoint_takes_over_and_a_broken_one_does_not(tmp_path):
 
 def test_a_run_of_a_shipped_policys_name_is_watched_itself():
     driver = TorqueDriver(ZeroAgent())
-    drivers = drivers_beside("questsim", driver)
+    drivers = drivers_beside("questsim", driver, NOBODY)
     assert drivers["questsim"]() is driver and next(iter(drivers)) == "questsim"
     assert {"tracker", "zero", "random"} < set(drivers)
 
@@ -388,11 +390,11 @@ def test_a_long_library_is_shortened_aloud(monkeypatch, capsys):
     assert capsys.readouterr().err == "80 of 90 clips are listed; --clip NAME adds one\n"
 
 
-def test_play_says_that_a_run_has_no_policy_yet(tmp_path):
-    with pytest.raises(InputError, match="no policy yet"):
+def test_play_refuses_a_folder_that_is_of_no_training(tmp_path):
+    with pytest.raises(InputError, match="no policy or system"):
         play(PlayArgs(tmp_path))
-    with pytest.raises(InputError, match="kinematic system"):
-        play(PlayArgs(SHIPPED / "hmdposer"))
+    with pytest.raises(InputError, match="no such folder"):
+        play(PlayArgs(tmp_path / "nowhere"))
 
 
 def test_a_video_of_another_kind_is_refused():
@@ -417,4 +419,4 @@ def test_a_session_is_filmed_with_its_push(tmp_path):
 
 
 def test_baselines_can_use_every_set_that_has_poses():
-    assert usable_sensors(DRIVERS["zero"]()) == ("H", "H+2C", "6T", "4T", "3T")
+    assert DRIVERS["zero"]().sensor_sets() == ("H", "H+2C", "6T", "4T", "3T")

@@ -20,8 +20,9 @@ from PIL import Image
 
 from agents.agent import RandomAgent, ZeroAgent, load_agent
 from agents.live.commands import watch
-from agents.live.drivers import TorqueDriver
+from agents.live.drivers import TorqueDriver, load_driver
 from agents.live.session import DemoSession
+from agents.live.users import Recordings
 from benchmarks.page import viewers
 from questsim.errors import InputError
 from questsim.viewing.live import Settings
@@ -38,6 +39,7 @@ def make_session() -> DemoSession:
         "demo": lambda: TorqueDriver(load_agent("demo")),
         "zero": lambda: TorqueDriver(ZeroAgent()),
         "random": lambda: TorqueDriver(RandomAgent()),
+        "hmdposer": lambda: load_driver("hmdposer", Recordings("synthetic", clips)),
     }
     return DemoSession(clips, drivers, Settings("first", "demo"))
 
@@ -159,6 +161,25 @@ def test_a_clip_and_an_agent_are_chosen(live, tab):
     assert eventually(lambda: tab.get_by_text("second", exact=True).count() > 0, wait)
     session.change(agent="demo")
     assert eventually(lambda: field_showing(tab, "demo") is not None, wait)
+
+
+@needs_browser
+def test_a_kinematic_system_is_chosen_and_a_push_is_answered_in_words(live, tab):
+    session, _ = live
+    wait = wait_in(tab)
+    session.pause(False)
+    chooser = field_showing(tab, session.settings.agent)
+    assert chooser
+    chooser.click()
+    tab.get_by_role("option", name="hmdposer", exact=True).click()
+    assert eventually(lambda: session.settings.agent == "hmdposer", wait)
+    assert eventually(lambda: tab.get_by_text("no physics").count() > 0, wait)
+    step = session.snapshot().step
+    tab.get_by_role("button", name="Push", exact=True).click()
+    assert eventually(lambda: tab.get_by_text("nothing pushes it").count() > 0, wait)
+    assert eventually(lambda: session.snapshot().step > step + 10, wait)
+    session.change(agent="demo")
+    assert eventually(lambda: tab.get_by_text("no physics").count() == 0, wait)
 
 
 @needs_browser

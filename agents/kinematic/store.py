@@ -20,14 +20,13 @@ from agents.checkpoint import RESUME_FILE, SHIPPED, pack, whole_folder
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.registry import AGENTS, Entry
 from agents.kinematic.switches import switches
+from agents.names import SYSTEM_CARD, UNTRAINED
 from questsim.errors import InputError
 from questsim.joint_sensors import SENSOR_FPS
 from questsim.skeleton import JOINTS
 
 FORMAT, FORMAT_VERSION = "questsim-kinematic", 1
-WEIGHTS_FILE, CARD_FILE = "system.safetensors", "system.yaml"
-UNTRAINED = ("ik",)
-"""Agents that are complete without weights."""
+WEIGHTS_FILE, CARD_FILE = "system.safetensors", SYSTEM_CARD
 
 
 def save_system(

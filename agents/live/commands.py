@@ -1,4 +1,4 @@
-"""``questsim demo`` and ``questsim play``: policies to watch in a browser."""
+"""``questsim demo`` and ``questsim play``: policies and kinematic systems in a browser."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from typing import Annotated
 import torch
 import tyro
 
-from agents.agent import PolicyAgent, load_agent
-from agents.checkpoint import CARD_FILE, SHIPPED
-from agents.live.drivers import Driver, TorqueDriver
+from agents.live.drivers import BASELINES, Driver, load_driver
 from agents.live.recording import record
 from agents.live.runner import Runner
 from agents.live.session import DemoSession
 from agents.live.surroundings import NOTHING, needed_thing
-from agents.live.watcher import Watcher, load_checkpoint, newest_checkpoint
+from agents.live.users import Recordings
+from agents.live.watcher import Checkpoint, Watcher, first_checkpoint, load_checkpoint
+from agents.names import kinematic_systems, shipped_policies
 from agents.rolling import choose_clips
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError, at_least
 from questsim.evaluation_report import check_writable
 from questsim.motion.clip import Clip
+from questsim.motion.motion import Motion
 from questsim.viewing.live import Settings
 from questsim.viewing.page import Page
 from questsim.viewing.page_server import DEFAULT_PORT, LOOPBACK
 
-BASELINES = ("zero", "random")
 FIRST_CLIP = "synthetic-walk-1.3"
 MOST_CLIPS = 80
 """More would make the list of clips on the page too long to choose from."""
@@ -61,10 +61,11 @@ class WatchArgs:
 
 @dataclass(frozen=True)
 class DemoArgs(WatchArgs):
-    """Watch a shipped policy follow a user, in a browser or on video."""
+    """Watch a shipped policy or kinematic system follow a user, in a browser or on video."""
 
     agent: str = "questsim"
-    """To begin with: a shipped policy's name, a run folder, a policy folder, zero or random."""
+    """To begin with: the name of a shipped policy or kinematic system, a run folder, a checkpoint
+    folder, ik, zero or random."""
     motions: str = "synthetic"
     """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
     terrain: str = "rough"
@@ -76,17 +77,17 @@ class DemoArgs(WatchArgs):
     seconds: float = 15.0
     """Length of the video."""
     push: float = 40.0
-    """Force in newtons of the pushes in the video; 0 for none."""
+    """Force in newtons of the pushes in the video; 0, and without physics, for none."""
     seed: int = 0
     """Of the embedded motions."""
 
 
 @dataclass(frozen=True)
 class PlayArgs(WatchArgs):
-    """Watch the newest policy of a training, while it learns."""
+    """Watch the newest policy or kinematic system of a training, while it learns."""
 
     run: Annotated[Path, tyro.conf.Positional]
-    """A run folder, a stage in it, or a policy folder."""
+    """A run folder, a stage in it, or a checkpoint folder; the first checkpoint is waited for."""
     motions: str | None = None
     """What to follow; by default what the run is trained on."""
 
@@ -109,38 +110,31 @@ def demo(args: DemoArgs) -> None:
 
 
 def play(args: PlayArgs) -> None:
-    """Serve the page with a run's newest policy until Ctrl-C.
+    """Serve the page with a run's newest checkpoint until Ctrl-C; waits for the first one.
 
     Raises:
-        InputError: there is no policy in the folder yet, or an argument cannot be used.
+        InputError: there is no training in the folder, or an argument cannot be used.
     """
     torch.set_num_threads(1)
-    if not args.run.is_dir():
-        raise InputError("there is no such folder", args.run, "name the --out of a training")
-    checkpoint = newest_checkpoint(args.run)
-    if checkpoint is None:
-        from agents.kinematic.store import CARD_FILE as SYSTEM_CARD
-
-        if any(args.run.rglob(SYSTEM_CARD)):
-            raise InputError("is of a kinematic system", args.run, "the page shows policies only")
-        raise InputError("has no policy yet", args.run, "wait for its first checkpoint")
+    checkpoint = first_checkpoint(args.run)
+    motions = args.motions or _trained_on(checkpoint)
     name = args.run.resolve().name
-    driver, note = load_checkpoint(args.run, checkpoint)
     with Page(args.host, args.port, f"QuestSim {name}") as page:
         _announce(page)
-        clips = _clips(args.motions or _trained_on(driver), args.clip)
+        clips = _clips(motions, args.clip)
+        recordings = Recordings(motions, clips)
+        checkpoint = first_checkpoint(args.run)  # a newer one may have come meanwhile
+        driver, note = load_checkpoint(args.run, checkpoint, recordings)
         settings = _settings(args, clips, name)
-        session = DemoSession(clips, drivers_beside(name, driver), settings)
-        session.note = note
-        with Watcher(args.run, name, session, checkpoint):
+        session = DemoSession(clips, drivers_beside(name, driver, recordings), settings)
+        session.notes[name] = note
+        with Watcher(args.run, name, session, checkpoint, recordings):
             watch(page, session)
 
 
-def _trained_on(driver: TorqueDriver) -> str:
-    """The motion argument of a policy's training."""
-    card = driver.agent.card if isinstance(driver.agent, PolicyAgent) else {}
-    training = card.get("training")
-    motions = training.get("motions") if isinstance(training, dict) else None
+def _trained_on(checkpoint: Checkpoint) -> str:
+    """The motion argument of a checkpoint's training."""
+    motions = checkpoint.training().get("motions")
     return motions if isinstance(motions, str) and motions else "synthetic"
 
 
@@ -158,9 +152,9 @@ def watch(page: Page, session: DemoSession, stop: threading.Event | None = None)
 
 
 def demo_session(args: DemoArgs) -> DemoSession:
-    """A session with the shipped policies, the baselines and one agent more, if it is another."""
-    drivers = available_drivers(args.agent)
+    """A session with all that is shipped, the baselines and one agent more, if it is another."""
     clips = _clips(args.motions, args.clip, args.seed)
+    drivers = available_drivers(Recordings(args.motions, clips, args.seed), args.agent)
     return DemoSession(clips, drivers, _settings(args, clips, args.agent))
 
 
@@ -194,21 +188,28 @@ def _clips(motions: str, wanted: str | None, seed: int = 0) -> Sequence[Clip]:
     return named + chosen
 
 
-def available_drivers(first: str | None = None) -> Mapping[str, Callable[[], Driver]]:
-    """What can drive the avatar, by name: the shipped policies, the baselines, and ``first``."""
-    shipped = sorted(path.parent.name for path in SHIPPED.glob(f"*/{CARD_FILE}"))
-    names: list[str] = [*([first] if first else []), *shipped, *BASELINES]
-    return {name: partial(_torque_driver, name) for name in names}
+def available_drivers(
+    recording: Callable[[str], Motion], first: str | None = None
+) -> Mapping[str, Callable[[], Driver]]:
+    """What can move the avatar, by name: ``first``, then what is shipped, then the baselines.
+
+    Nothing is loaded before it is asked for.
+
+    Args:
+        recording: see ``load_driver``.
+        first: one more agent, if it is not among them.
+    """
+    names = [*([first] if first else []), *shipped_policies(), *kinematic_systems(), *BASELINES]
+    return {name: partial(load_driver, name, recording) for name in names}
 
 
-def drivers_beside(name: str, driver: Driver) -> Mapping[str, Callable[[], Driver]]:
+def drivers_beside(
+    name: str, driver: Driver, recording: Callable[[str], Motion]
+) -> Mapping[str, Callable[[], Driver]]:
     """One driver by its name, and after it what is available under other names."""
-    others = {other: make for other, make in available_drivers().items() if other != name}
+    available = available_drivers(recording)
+    others = {other: make for other, make in available.items() if other != name}
     return {name: lambda: driver, **others}
-
-
-def _torque_driver(name: str) -> Driver:
-    return TorqueDriver(load_agent(name))
 
 
 def _write_video(args: DemoArgs, path: Path) -> None:

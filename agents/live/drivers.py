@@ -2,30 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
-from agents.agent import Agent, Needs, PolicyAgent
+from agents.agent import Agent, Needs, PolicyAgent, load_agent
+from agents.names import shipped_policies
 from agents.spec import Layout
 from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.layout import observation_layout
 from questsim.errors import InputError
+from questsim.motion.motion import Motion
 from questsim.sensors import DEVICES, SENSOR_SETS
+
+BASELINES = ("zero", "random")
 
 
 class Driver(Protocol):
-    """Anything that can drive a session's one avatar: by torques, or by poses."""
+    """Anything that can drive a session's one avatar: by torques, or by poses.
+
+    Attributes:
+        physics: whether torques move the avatar; without, it takes poses as they are, and nothing
+            can push it.
+    """
+
+    physics: bool
 
     @property
     def needs(self) -> Needs:
         """The environment that it was made for."""
         ...
 
-    def fits(self, config: EnvConfig) -> bool:
-        """Whether it can be used in such an environment."""
+    def sensor_sets(self) -> tuple[str, ...]:
+        """Names of the sensor sets that give it what it reads."""
         ...
 
-    def bind(self, sim: BatchSim) -> None:
+    def config(self, sensors: str, height_m: float | None = None) -> EnvConfig:
+        """The environment that it needs, with these sensors and all avatars of one height."""
+        ...
+
+    def bind(self, sim: BatchSim, sensors: str) -> None:
         """Get to know a simulation; an ``InputError`` leaves the one before in force."""
         ...
 
@@ -45,6 +61,8 @@ class TorqueDriver:
         agent: a policy, or one of the baselines.
     """
 
+    physics = True
+
     def __init__(self, agent: Agent) -> None:
         self.agent = agent
 
@@ -53,8 +71,16 @@ class TorqueDriver:
         """The environment that the agent was made for."""
         return self.agent.needs
 
-    def fits(self, config: EnvConfig) -> bool:
-        """Whether such an environment shows all that the agent reads."""
+    def sensor_sets(self) -> tuple[str, ...]:
+        """Names of the sensor sets without IMUs that show all that the agent reads."""
+        return tuple(
+            name
+            for name, devices in SENSOR_SETS.items()
+            if all(DEVICES[device].kind != "imu" for device in devices)
+            and self._fits(self.config(name))
+        )
+
+    def _fits(self, config: EnvConfig) -> bool:
         if not isinstance(self.agent, PolicyAgent):
             return True
         try:
@@ -63,7 +89,19 @@ class TorqueDriver:
             return False
         return True
 
-    def bind(self, sim: BatchSim) -> None:
+    def config(self, sensors: str, height_m: float | None = None) -> EnvConfig:
+        """The environment that the agent needs, with these sensors and avatars of one height."""
+        needs = self.needs
+        return EnvConfig(
+            sensors=sensors,
+            future_frames=needs.future_frames,
+            privileged=needs.privileged,
+            body_preset=needs.body_preset,
+            heights=None if height_m is None else (height_m, height_m),
+            fixed_start=True,
+        )
+
+    def bind(self, sim: BatchSim, sensors: str) -> None:
         """Find what the agent reads in the simulation's observation; see ``Agent.bind``."""
         self.agent.bind(sim)
 
@@ -76,25 +114,29 @@ class TorqueDriver:
         sim.step(self.agent.act(sim.observation))
 
 
-def usable_sensors(driver: Driver) -> tuple[str, ...]:
-    """Names of the sensor sets without IMUs that give the driver what it reads."""
-    names = []
-    for name, devices in SENSOR_SETS.items():
-        if all(DEVICES[device].kind != "imu" for device in devices):
-            config = config_for(driver, name)
-            if driver.fits(config):
-                names.append(name)
-    return tuple(names)
+def load_driver(name: str, recording: Callable[[str], Motion]) -> Driver:
+    """What an agent's name, checkpoint folder or run folder means.
 
+    Args:
+        name: of a policy, a baseline or a kinematic system.
+        recording: by a clip's name, its user's motion; asked for by kinematic systems alone.
 
-def config_for(driver: Driver, sensors: str, height_m: float | None = None) -> EnvConfig:
-    """The environment that a driver needs, with these sensors and all avatars of one height."""
-    needs = driver.needs
-    return EnvConfig(
-        sensors=sensors,
-        future_frames=needs.future_frames,
-        privileged=needs.privileged,
-        body_preset=needs.body_preset,
-        heights=None if height_m is None else (height_m, height_m),
-        fixed_start=True,
-    )
+    Raises:
+        InputError: there is no such agent, or it cannot be used.
+    """
+    if name in BASELINES or name in shipped_policies():
+        return TorqueDriver(load_agent(name))
+    # Not at the top: all systems are imported with these, and the page is not to wait for them.
+    from agents.kinematic.physics import base_of
+    from agents.kinematic.store import UNTRAINED, find_system, load_system
+    from agents.live.poses import PoseDriver
+
+    if base_of(name) is not None:
+        raise InputError(
+            "the page has no physics behind systems",
+            name,
+            f"watch {base_of(name)}, or use evaluate.py --video",
+        )
+    if name in UNTRAINED or find_system(name) is not None:
+        return PoseDriver(load_system(name), recording)
+    return TorqueDriver(load_agent(name))

@@ -17,7 +17,8 @@ def record(session: DemoSession, seconds: float, push_n: float = 0.0) -> list[Ta
     Args:
         session: nobody else may advance it.
         seconds: length of all takes together.
-        push_n: force in newtons of a push from one side, then from the other.
+        push_n: force in newtons of a push from one side, then from the other; none of them where
+            the agent has no physics.
     """
     takes: list[Take] = []
     left, side = round(seconds * FPS), 90.0
@@ -37,7 +38,7 @@ def _take(session: DemoSession, most: int, push_n: float, side: float) -> list[S
     moments = [session.snapshot()]
     push_at = round(PUSH_AFTER * moments[0].duration_s * FPS)
     while len(moments) < most:
-        if push_n and len(moments) == push_at:
+        if push_n and moments[0].physics and len(moments) == push_at:
             session.push(push_n, side)
         session.advance()
         moment = session.snapshot()

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.live.drivers import Driver, usable_sensors
+from agents.live.drivers import Driver
 from agents.live.surroundings import (
     NOTHING,
     config_of,
@@ -52,6 +52,9 @@ class DemoSession:
         clips: what can be followed; names are unique.
         drivers: by name, functions that make what moves the avatar; each is called once.
         settings: to begin with; empty sensors are the agent's own.
+
+    Attributes:
+        notes: words to show beside an agent's name, by that name.
     """
 
     def __init__(
@@ -73,7 +76,7 @@ class DemoSession:
         self._step, self._begun = 0, 0
         self._outcome, self._hold = "", 0
         self._paused, self._one_step = False, False
-        self.note = ""
+        self.notes: dict[str, str] = {}
         self._sim: BatchSim = self._build(settings)
 
     # -- what viewers see ------------------------------------------------------------------
@@ -89,7 +92,7 @@ class DemoSession:
         return Choices(
             clips=tuple(self._clips),
             agents=tuple(self._make_driver),
-            sensors=usable_sensors(self._driver(self._settings.agent)),
+            sensors=self._driver(self._settings.agent).sensor_sets(),
             terrains=GROUNDS,
             things=(NOTHING, *OBJECTS),
         )
@@ -138,7 +141,8 @@ class DemoSession:
                 thing=object_pose(sim) if self._stage.parts else None,
                 outcome=self._outcome,
                 paused=self._paused,
-                note=self.note,
+                note=self.notes.get(self._settings.agent, ""),
+                physics=self._present.physics,
             )
 
     # -- what viewers ask for ----------------------------------------------------------------
@@ -166,7 +170,7 @@ class DemoSession:
                 wanted = replace(wanted, thing=self._needed(wanted))
             if wanted != replace(self._settings, speed=wanted.speed):
                 driver = self._driver(wanted.agent)
-                if "sensors" not in settings and wanted.sensors not in usable_sensors(driver):
+                if "sensors" not in settings and wanted.sensors not in driver.sensor_sets():
                     wanted = replace(wanted, sensors=driver.needs.sensors)
             self._check(wanted)
             if wanted != replace(self._settings, speed=wanted.speed):
@@ -193,12 +197,16 @@ class DemoSession:
         """Push the chest for 0.2 s: 0 degrees pushes the avatar forwards, 90 to its left.
 
         Raises:
-            InputError: the force is not between 0 and 1000 N, or the direction no number.
+            InputError: the force is not between 0 and 1000 N, the direction no number, or the
+                agent without physics.
         """
         force_n, direction_deg = _number(force_n, "push"), _number(direction_deg, "direction")
         if not 0.0 <= force_n <= MAX_PUSH_N:
             raise InputError(f"a push of {force_n:g} N is not within 0 and {MAX_PUSH_N:g} N")
         with self._lock:
+            if not self._present.physics:
+                agent = self._settings.agent
+                raise InputError(f"{agent} shows poses without physics: nothing pushes it")
             yaw = float(rot.heading(self._sim.link_quats[:1, 0])[0]) + np.radians(direction_deg)
             force = force_n * np.array([np.cos(yaw), np.sin(yaw), 0.0])
             self._sim.pusher.push(0, force, PUSH_S)
@@ -219,16 +227,17 @@ class DemoSession:
                 if before is not None:
                     self._drivers[name] = before
                 raise
-            self.note = note
+            self.notes[name] = note
 
     def _take_up(self, driver: Driver) -> None:
         """Let a driver go on from now, or from the clip's start where it needs another world."""
         settings = self._settings
-        if settings.sensors not in usable_sensors(driver):
+        if settings.sensors not in driver.sensor_sets():
             settings = replace(settings, sensors=driver.needs.sensors)
         if config_of(driver, settings) == self._sim.config:
-            driver.bind(self._sim)
+            driver.bind(self._sim, settings.sensors)
             driver.reset()
+            self._settings = settings
             return
         self._sim = self._build(settings)
         self._settings = settings
@@ -248,7 +257,7 @@ class DemoSession:
                     self._begin(sim)
                     self._step += 1
                     return True
-            self._drivers[self._settings.agent].advance(sim)
+            self._present.advance(sim)
             self._step += 1
             self._judge(sim)
             return True
@@ -256,9 +265,11 @@ class DemoSession:
     def _judge(self, sim: BatchSim) -> None:
         if self._outcome:
             return
-        if sim.fell[0]:
+        # Poses that are far off are no fall: they may come back.
+        physics = self._present.physics
+        if physics and sim.fell[0]:
             self._outcome, self._hold = "fell", round(AFTER_FALL_S * FPS)
-        elif sim.ended[0]:
+        elif sim.ended[0] or (not physics and sim.frame[0] >= sim.reference.end[0] - 1):
             self._outcome, self._hold = "completed", round(AFTER_END_S * FPS)
 
     def _begin(self, sim: BatchSim) -> None:
@@ -268,8 +279,13 @@ class DemoSession:
         self._user_position, self._user_qpos = in_own_size(
             self._placed, sim.placement.field, float(self._settings.height_m)
         )
-        self._drivers[self._settings.agent].reset()
+        self._present.reset()
         self._outcome, self._hold = "", 0
+
+    @property
+    def _present(self) -> Driver:
+        """What drives the avatar now."""
+        return self._drivers[self._settings.agent]
 
     def _driver(self, name: str) -> Driver:
         if name not in self._make_driver:
@@ -291,7 +307,7 @@ class DemoSession:
         """
         if settings.clip not in self._clips:
             raise InputError(f"there is no clip {settings.clip!r}")
-        usable = usable_sensors(self._driver(settings.agent))
+        usable = self._driver(settings.agent).sensor_sets()
         if settings.sensors not in usable:
             raise InputError(
                 f"{settings.agent} cannot use sensors {settings.sensors!r}",
@@ -324,7 +340,7 @@ class DemoSession:
         driver = self._driver(settings.agent)
         config = config_of(driver, settings)
         sim = BatchSim([self._clips[settings.clip]], config, 1, num_threads=1)
-        driver.bind(sim)
+        driver.bind(sim, settings.sensors)
         self._settings = settings
         self._begin(sim)
         field = sim.placement.field

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from agents.live.drivers import Driver, config_for
+from agents.live.drivers import Driver
 from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.objects import WorldObject
@@ -21,7 +21,7 @@ NOTHING = "none"
 
 def config_of(driver: Driver, settings: Settings) -> EnvConfig:
     """The environment of a session's settings."""
-    config = config_for(driver, settings.sensors, float(settings.avatar_m))
+    config = driver.config(settings.sensors, float(settings.avatar_m))
     return replace(
         config,
         terrain=scaled_terrain(settings.terrain, settings.roughness),

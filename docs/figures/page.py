@@ -64,7 +64,7 @@ def _photograph(browser: Any, session: Session, args: PictureArgs) -> bytes:
     session.pause(False)
     while session.snapshot().time_s < args.at - 0.15 or session.snapshot().outcome:
         browser.wait_for_timeout(5)
-    if args.push:
+    if args.push and session.snapshot().physics:
         session.push(args.push, 90.0)
     while session.snapshot().time_s < args.at:
         browser.wait_for_timeout(5)

@@ -77,6 +77,8 @@ class Snapshot:
         outcome: ``""``, ``"fell"`` or ``"completed"``.
         paused: whether time stands still.
         note: about the agent, such as the age of its checkpoint.
+        physics: whether torques move the avatar; without, it takes poses as they are, there are
+            no contact forces, and nothing can push it.
     """
 
     stage: Stage
@@ -98,6 +100,7 @@ class Snapshot:
     outcome: str = ""
     paused: bool = False
     note: str = ""
+    physics: bool = True
 
 
 def force_arrows(snapshot: Snapshot) -> np.ndarray:

@@ -129,13 +129,13 @@ def _captioned(picture: np.ndarray, moment: Snapshot, settings: Settings) -> np.
     state = "fell" if fell else f"error {100.0 * moment.error_m:.1f} cm"
     push = np.linalg.norm(moment.push_n)
     pushed = f"   push {push:.0f} N" if push else ""
-    stage = moment.stage
+    stage, agent = moment.stage, settings.agent + ("" if moment.physics else " (no physics)")
     differ = stage.user_m != stage.height_m
     sizes = f"   {stage.height_m:.2f} m, its user {stage.user_m:.2f} m" if differ else ""
     return caption(
         picture,
         {
-            "top left": f"{settings.clip}   {ground}   agent {settings.agent}{sizes}",
+            "top left": f"{settings.clip}   {ground}   agent {agent}{sizes}",
             "bottom left": f"{moment.time_s:.1f} s   {state}{pushed}",
             "bottom right": LEGEND if picture.shape[1] >= 640 else "",
         },

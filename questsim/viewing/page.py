@@ -32,7 +32,7 @@ class Page:
         gui = self._server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(214, 88, 40))
         gui.main_panel.dock_right()
-        self._loading = gui.add_markdown("Loading motions and the policy ...")
+        self._loading = gui.add_markdown("Loading motions and the agent ...")
         self._scene = PageScene(self._server)
 
     def __enter__(self) -> Page:

@@ -18,6 +18,7 @@ from questsim.viewing.page_scene import PageScene
 
 _SPEED_LABELS = {f"{speed:g} x": speed for speed in SPEEDS}
 _PLOT_HEIGHT = 130
+NO_PHYSICS = "no physics: pushes and objects do nothing"
 
 
 class PagePanel:
@@ -209,11 +210,13 @@ def status_text(snapshot: Snapshot, settings: Settings) -> str:
     error = f"{100.0 * snapshot.error_m:.1f} cm off"
     state = {
         "fell": f"**fell** after {snapshot.time_s:.1f} s",
-        "completed": "**followed to the end**",
+        "completed": f"**{'followed' if snapshot.physics else 'shown'} to the end**",
     }.get(snapshot.outcome, error)
     if snapshot.paused:
         state += ", paused"
-    note = f" ({snapshot.note})" if snapshot.note else ""
+    notes = [snapshot.note, "" if snapshot.physics else NO_PHYSICS]
+    note = ", ".join(filter(None, notes))
+    note = f" ({note})" if note else ""
     return (
         f"**{settings.clip}** {snapshot.time_s:.1f} of {snapshot.duration_s:.1f} s\n\n"
         f"{settings.agent}{note}: {state}"
