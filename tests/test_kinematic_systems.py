@@ -113,9 +113,9 @@ def test_a_bank_of_lstms_computes_what_pytorchs_lstm_does():
     parameters = dict(lstm.named_parameters())
     x = torch.randn(3, 5, 2, 8)
     with torch.no_grad():
-        into, across, _ = bank._weights()
-        parameters["weight_ih_l0"].copy_(into[1].T)
-        parameters["weight_hh_l0"].copy_(across[1].T)
+        into, across = bank._weights()[0][1].split(8, dim=-1)
+        parameters["weight_ih_l0"].copy_(into)
+        parameters["weight_hh_l0"].copy_(across)
         parameters["bias_ih_l0"].copy_(bank.input_bias[1])
         parameters["bias_hh_l0"].copy_(bank.hidden_bias[1])
         assert torch.allclose(bank(x)[0][:, :, 1], lstm(x[:, :, 1])[0], atol=1e-6)

@@ -1,6 +1,7 @@
 """Training of the kinematic systems: errors fall, runs are recorded, resumed to the bit."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,9 +17,10 @@ from agents.kinematic.fit import Fit
 from agents.kinematic.interface import Body
 from agents.kinematic.learning import rate_at
 from agents.kinematic.registry import AGENTS
+from agents.kinematic.shipping import system_provenance
 from agents.kinematic.sparse_training import measure_normalisers
 from agents.kinematic.sparseposer import SparsePoserModule
-from agents.kinematic.store import find_system, load_module, save_system
+from agents.kinematic.store import find_system, load_module, read_system_card, save_system
 from agents.monitor import Display
 from agents.run_folder import read_run
 from agents.shipping import ShipArgs, ship
@@ -221,6 +223,25 @@ def test_a_shipped_system_loads_by_name_and_answers_as_the_run_does(shipped, mon
     assert {path.name for path in (shipped / "weights" / "feet").iterdir()} == {
         "README.md", "system.safetensors", "system.yaml",
     }  # fmt: skip
+
+
+def test_a_run_records_what_its_shipped_start_was_and_its_card_tells_that(
+    shipped, monkeypatch, tmp_path
+):
+    weights = tmp_path / "weights"
+    shutil.copytree(shipped / "weights", weights)
+    monkeypatch.setattr("agents.kinematic.store.SHIPPED", weights)
+    motions = str(shipped / "motions.npz")
+    train(arguments("sparseposer", motions, tmp_path / "run", steps=2, start=Path("feet")))
+    was = read_system_card(weights / "feet")["training"]
+    assert read_run(tmp_path / "run")["behind"] == {"start": was}
+    shutil.rmtree(weights / "feet")
+    folder = find_system(tmp_path / "run")
+    assert folder is not None
+    told = system_provenance(folder)
+    assert told["stages"][:2] == was["stages"] and len(told["stages"]) == 4
+    assert told["commands"][0] == was["commands"][0].replace("runs/NAME", "runs/feet")
+    assert told["commands"][1].endswith("--start runs/feet")
 
 
 def test_the_card_of_a_system_tells_data_licence_command_seed_time_and_figures(shipped):

@@ -356,7 +356,7 @@ def test_on_level_ground_a_footed_clip_is_the_clip() -> None:
     field = HeightField.of(np.full((20, 20), 0.3), 0.5)
     footed = footed_clip(CLIPS[0], np.array([0.0, 0.0, 1.0, 0.0]), field)
     np.testing.assert_allclose(footed.qpos[:, 7:], CLIPS[0].qpos[:, 7:], atol=1e-6)
-    lifted = CLIPS[0].link_position + [0.0, 0.0, 0.3]
+    lifted = CLIPS[0].link_position + np.array([0.0, 0.0, 0.3])
     np.testing.assert_allclose(footed.link_position, lifted, atol=1e-6)
 
 

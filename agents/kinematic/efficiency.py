@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
+from agents.kinematic.few_rows import pytorch_alone
 from agents.kinematic.interface import Body, KinematicSystem
 from questsim.joint_sensors import SensorSequence
 
@@ -21,9 +22,10 @@ def mmac_a_frame(system: KinematicSystem, sequence: SensorSequence, body: Body) 
     """Millions of multiply-accumulates of matrix products and convolutions a streamed frame.
 
     Counted by ``torch.utils.flop_counter`` (a multiply-accumulate is two operations) over a few
-    frames in the middle of a stream, of what is really computed: masked-out weights count. Left
-    out are sums, activations and products that are not PyTorch's; attention between eight tokens
-    is counted where it is a matrix product.
+    frames in the middle of a stream, of what is really computed: masked-out weights count. Where
+    a stream has compiled products of its own, PyTorch's are counted, which multiply the same. Left
+    out are sums, activations and other products that are not PyTorch's; attention between eight
+    tokens is counted where it is a matrix product.
 
     Args:
         system: to be measured; its stream begins anew.
@@ -39,7 +41,7 @@ def mmac_a_frame(system: KinematicSystem, sequence: SensorSequence, body: Body) 
         system.reset(body, sequence.names)
         for t in range(warm):
             system.step(sequence[t])
-        with FlopCounterMode(display=False) as counter:
+        with pytorch_alone(), FlopCounterMode(display=False) as counter:
             for t in range(warm, frames):
                 system.step(sequence[t])
     finally:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
+import numba
+import numpy as np
 import torch
 from torch import Tensor
 
-from questsim import differentiable as diff
 from questsim.joint_sensors import SENSOR_FPS
 from questsim.skeleton import JOINTS
 
@@ -42,6 +46,9 @@ for _i, _name in enumerate(("left_leg", "right_leg", "pelvis")):
     ATOMS[_name] += [*range(126 + 3 * _i, 129 + 3 * _i)]
 NUM_FEATURES = 135
 
+_jit: Any = numba.njit(cache=True, nogil=True, error_model="numpy")
+_FPS, _UNIT = np.float32(SENSOR_FPS), np.float32(ACCELERATION_UNIT)
+
 
 def features(
     position: Tensor, rotation: Tensor, acceleration: Tensor, seen: Tensor
@@ -61,34 +68,88 @@ def features(
     Returns:
         features ``(B, T, 135)`` and the heading's turn ``(B, T, 3, 3)``.
     """
-    heading = diff.heading_matrix(rotation[:, :, 0])
-    back = heading.transpose(-1, -2)
+    arrays = (array.contiguous().numpy() for array in (position, rotation, acceleration, seen))
+    told = np.zeros((*position.shape[:2], NUM_FEATURES), np.float32)
+    heading = np.zeros((*position.shape[:2], 3, 3), np.float32)
+    _tell(*arrays, told, heading)
+    return torch.from_numpy(told), torch.from_numpy(heading)
 
-    def before(x: Tensor) -> Tensor:
-        return torch.cat([x[:, :1], x[:, :-1]], dim=1)
 
-    def spin(r: Tensor) -> Tensor:
-        return diff.matrix_to_six_d(before(r).transpose(-1, -2) @ r)
+@_jit
+def _tell(position, rotation, acceleration, seen, told, heading):
+    """Write the numbers of each frame into zeros; see ``features``."""
+    frames = position.shape[1]
+    now, was = np.empty((2, 3, 3), np.float32), np.empty((2, 3, 3), np.float32)
+    place, last = np.empty((2, 3), np.float32), np.empty((2, 3), np.float32)
+    for b in range(len(position)):
+        for t in range(frames):
+            before, out = max(t - 1, 0), told[b, t]
+            turns, turns_before = rotation[b, t], rotation[b, before]
+            at, at_before = position[b, t], position[b, before]
+            cos, sin = _heading(turns[0, 0, 0], turns[0, 1, 0])
+            heading[b, t, 0, 0] = heading[b, t, 1, 1] = cos
+            heading[b, t, 0, 1], heading[b, t, 1, 0], heading[b, t, 2, 2] = -sin, sin, 1.0
+            for i in range(6):
+                if i < 3 or seen[b, i - 3]:
+                    for c in range(2):
+                        x, y, z = turns[i, 0, c], turns[i, 1, c], turns[i, 2, c]
+                        _seen_from(cos, sin, x, y, z, out, 6 * i + 3 * c)
+                    _spin(turns_before[i], turns[i], out, 36 + 6 * i)
+            for i in range(3):
+                x, y, z = at[i, 0] - at[0, 0], at[i, 1] - at[0, 1], at[i, 2]
+                _seen_from(cos, sin, x, y, z, out, 72 + 3 * i)
+                x, y, z = at[i, 0], at[i, 1], at[i, 2]
+                x, y, z = x - at_before[i, 0], y - at_before[i, 1], z - at_before[i, 2]
+                _seen_from(cos, sin, x * _FPS, y * _FPS, z * _FPS, out, 81 + 3 * i)
+                if seen[b, i]:
+                    x, y, z = acceleration[b, t, i]
+                    x, y, z = x / _UNIT, y / _UNIT, z / _UNIT
+                    _seen_from(cos, sin, x, y, z, out, 126 + 3 * i)
+            _in_head(turns, at, now, place)
+            _in_head(turns_before, at_before, was, last)
+            for h in range(2):
+                _spin(was[h], now[h], out, 102 + 6 * h)
+                for k in range(3):
+                    out[90 + 6 * h + k], out[93 + 6 * h + k] = now[h, k, 0], now[h, k, 1]
+                    out[114 + 3 * h + k] = place[h, k]
+                    out[120 + 3 * h + k] = (place[h, k] - last[h, k]) * _FPS
 
-    def seen_from(turn: Tensor, vectors: Tensor) -> Tensor:
-        return (turn[:, :, None] @ vectors[..., None]).squeeze(-1)
 
-    floor = position[:, :, :1] * position.new_tensor([1.0, 1.0, 0.0])
-    velocity = (position - before(position)) * SENSOR_FPS
-    head, hands = rotation[:, :, :1].transpose(-1, -2), rotation[:, :, 1:3]
-    in_head = head @ hands
-    place = (head @ (position[:, :, 1:] - position[:, :, :1])[..., None]).squeeze(-1)
-    mask = torch.cat([seen.new_ones(len(seen), 3), seen], dim=1).to(position)[:, None, :, None]
-    imu = seen.to(position)[:, None, :, None]
-    parts = [
-        diff.matrix_to_six_d(back[:, :, None] @ rotation) * mask,
-        spin(rotation) * mask,
-        seen_from(back, position - floor),
-        seen_from(back, velocity),
-        diff.matrix_to_six_d(in_head),
-        spin(in_head),
-        place,
-        (place - before(place)) * SENSOR_FPS,
-        seen_from(back, acceleration) * imu / ACCELERATION_UNIT,
-    ]
-    return torch.cat([part.flatten(2) for part in parts], dim=-1), heading
+@_jit
+def _heading(x, y):
+    """Cosine and sine of the direction of (x, y); of none, those of zero."""
+    length = math.sqrt(x * x + y * y)
+    if length > 1e-6:
+        return x / length, y / length
+    return 1.0, 0.0
+
+
+@_jit
+def _seen_from(cos, sin, x, y, z, out, at):
+    """Write a vector, turned about z by minus the heading, to out[at:at + 3]."""
+    out[at] = cos * x + sin * y
+    out[at + 1] = cos * y - sin * x
+    out[at + 2] = z
+
+
+@_jit
+def _spin(before, now, out, at):
+    """Write the first two columns of the turn from one matrix to another to out[at:at + 6]."""
+    for c in range(2):
+        for k in range(3):
+            turned = before[0, k] * now[0, c] + before[1, k] * now[1, c] + before[2, k] * now[2, c]
+            out[at + 3 * c + k] = turned
+
+
+@_jit
+def _in_head(turns, at, hands, place):
+    """Write turns and places of both hands as the head sees them."""
+    for h in range(2):
+        for i in range(3):
+            place[h, i] = 0.0
+            for j in range(3):
+                place[h, i] += turns[0, j, i] * (at[1 + h, j] - at[0, j])
+            for k in range(3):
+                hands[h, i, k] = 0.0
+                for j in range(3):
+                    hands[h, i, k] += turns[0, j, i] * turns[1 + h, j, k]

@@ -14,7 +14,15 @@ import torch
 from torch import Tensor, nn
 
 from agents.kinematic.features import ATOMS
+from agents.kinematic.few_rows import (
+    EncoderLayer,
+    Linear,
+    are_few,
+    group_linear,
+    side_by_side,
+)
 from agents.kinematic.lstm import LstmBank, State
+from agents.kinematic.ready import Derives
 from agents.kinematic.switches import SWITCH
 from questsim.proportions import NUM_BONES
 from questsim.skeleton import NUM_JOINTS
@@ -51,7 +59,7 @@ class HmdPoserSpec:
     shape_head: bool = field(default=True, metadata=SWITCH)
 
 
-class HmdPoserNet(nn.Module):
+class HmdPoserNet(Derives):
     """From 135 features a frame to 22 rotations in 6D and 16 shape numbers.
 
     Args:
@@ -75,7 +83,7 @@ class HmdPoserNet(nn.Module):
         )
         self.space = nn.ModuleList()
         for _ in range(spec.blocks):
-            layer = nn.TransformerEncoderLayer(
+            layer = EncoderLayer(
                 spec.size, spec.heads, spec.feed_forward, spec.dropout, batch_first=True
             )
             encoder = nn.TransformerEncoder(layer, spec.layers, enable_nested_tensor=False)
@@ -91,6 +99,14 @@ class HmdPoserNet(nn.Module):
         return [layer]
 
     def _embed(self, features: Tensor) -> Tensor:
+        """Tokens ``(B, T, tokens, size)``."""
+        rows = features.shape[:2].numel()
+        if are_few(features, rows):
+            columns, weights, bias, order = self.derived(self._embeddings_at_once)
+            seen = features.reshape(rows, -1).t()[columns].transpose(1, 2)
+            parts = group_linear(seen, weights, bias).transpose(0, 1).flatten(1)[:, order]
+            x = nn.functional.leaky_relu(parts).view(*features.shape[:2], len(self._tokens), -1)
+            return self.norm(x)
         tokens = []
         for token, layers in zip(self._tokens, self.embeddings, strict=True):
             assert isinstance(layers, nn.ModuleList)
@@ -102,6 +118,25 @@ class HmdPoserNet(nn.Module):
                 at += layer.in_features
             tokens.append(self.norm(torch.cat(parts, dim=-1)))
         return torch.stack(tokens, dim=-2)
+
+    def _embeddings_at_once(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """All layers as ``side_by_side`` gives them, and where a token's features then are."""
+        layers, columns = [], []
+        for token, own in zip(self._tokens, self.embeddings, strict=True):
+            assert isinstance(own, nn.ModuleList)
+            at = 0
+            for layer in own:
+                assert isinstance(layer, nn.Linear)
+                layers.append(layer)
+                columns.append(ATOMS[token][at : at + layer.in_features])
+                at += layer.in_features
+        index, weights, bias = side_by_side(layers, columns)
+        order = [
+            g * weights.shape[1] + n
+            for g, layer in enumerate(layers)
+            for n in range(layer.out_features)
+        ]
+        return index, weights, bias, torch.tensor(order)
 
     def forward(
         self, features: Tensor, body: Tensor, states: list[State] | None = None
@@ -128,4 +163,4 @@ class HmdPoserNet(nn.Module):
 
 
 def _head(wide: int, hidden: int, out: int) -> nn.Sequential:
-    return nn.Sequential(nn.Linear(wide, hidden), nn.LeakyReLU(), nn.Linear(hidden, out))
+    return nn.Sequential(Linear(wide, hidden), nn.LeakyReLU(), Linear(hidden, out))

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from agents.kinematic.features import ATOMS
+from agents.kinematic.few_rows import Linear
 from agents.kinematic.lstm import LstmBank, State
 from agents.kinematic.skeletal import MaskedLinear
 from agents.kinematic.switches import SWITCH
@@ -130,11 +131,11 @@ class LgsikNet(nn.Module):
         self.heads = nn.ModuleList(self._heads())
         measured = SHAPE_INPUTS if spec.shape_group else 0
         self.shape = nn.Sequential(
-            nn.Linear(len(PARTS) * size + measured, spec.shape_hidden),
+            Linear(len(PARTS) * size + measured, spec.shape_hidden),
             nn.LeakyReLU(),
-            nn.Linear(spec.shape_hidden, spec.shape_hidden),
+            Linear(spec.shape_hidden, spec.shape_hidden),
             nn.LeakyReLU(),
-            nn.Linear(spec.shape_hidden, NUM_BONES),
+            Linear(spec.shape_hidden, NUM_BONES),
         )
         told = [JOINTS.index(joint) for joints in PARTS.values() for joint in joints]
         self._order = [told.index(joint) for joint in range(NUM_JOINTS)]
@@ -154,7 +155,7 @@ class LgsikNet(nn.Module):
     def _head(self, width: int, out: int) -> nn.Sequential:
         a, b = self.spec.hidden
         return nn.Sequential(
-            nn.Linear(width, a), nn.LeakyReLU(), nn.Linear(a, b), nn.LeakyReLU(), nn.Linear(b, out)
+            Linear(width, a), nn.LeakyReLU(), Linear(a, b), nn.LeakyReLU(), Linear(b, out)
         )
 
     def last_layers(self) -> list[nn.Linear]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from agents.kinematic.few_rows import group_linear
 from agents.kinematic.ready import Derives
 
 State = tuple[Tensor, Tensor]
@@ -36,18 +37,16 @@ class LstmBank(Derives):
         self.input_bias = nn.Parameter(torch.empty(groups, 4 * size).uniform_(-bound, bound))
         self.hidden_bias = nn.Parameter(torch.empty(groups, 4 * size).uniform_(-bound, bound))
 
-    def _weights(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Both matrices transposed ``(groups, size, 4 size)`` and the bias."""
+    def _weights(self) -> tuple[Tensor, Tensor]:
+        """Both matrices side by side ``(groups, 4 size, 2 size)``, and the bias."""
 
         def weight(direction: Tensor, length: Tensor) -> Tensor:
             unit = direction / direction.norm(dim=-1, keepdim=True)
-            return (unit * length[..., None]).transpose(1, 2).contiguous()
+            return unit * length[..., None]
 
-        return (
-            weight(self.input_direction, self.input_length),
-            weight(self.hidden_direction, self.hidden_length),
-            (self.input_bias + self.hidden_bias)[:, None],
-        )
+        into = weight(self.input_direction, self.input_length)
+        across = weight(self.hidden_direction, self.hidden_length)
+        return torch.cat([into, across], dim=-1), self.input_bias + self.hidden_bias
 
     def forward(self, x: Tensor, state: State | None = None) -> tuple[Tensor, State]:
         """Run over time.
@@ -66,9 +65,9 @@ class LstmBank(Derives):
 
     def _step(self, x: Tensor, state: State) -> tuple[Tensor, State]:
         """One frame of all groups at once."""
-        into, across, bias = self.derived(self._weights)
-        gates = torch.baddbmm(bias, x[:, 0].transpose(0, 1), into)
-        i, f, g, o = torch.baddbmm(gates, state[0], across).chunk(4, dim=-1)
+        weights, bias = self.derived(self._weights)
+        seen = torch.cat([x[:, 0].transpose(0, 1), state[0]], dim=-1)
+        i, f, g, o = group_linear(seen, weights, bias).chunk(4, dim=-1)
         cell = torch.sigmoid(f) * state[1] + torch.sigmoid(i) * torch.tanh(g)
         hidden = torch.sigmoid(o) * torch.tanh(cell)
         return hidden.transpose(0, 1)[:, None], (hidden, cell)
@@ -76,13 +75,14 @@ class LstmBank(Derives):
     def _sequence(self, x: Tensor, state: State) -> tuple[Tensor, State]:
         """Group by group through PyTorch's own LSTM, which is made for sequences."""
         kind = torch.get_autocast_dtype("cpu") if torch.is_autocast_enabled("cpu") else x.dtype
-        into, across, bias = (w.to(kind).transpose(1, 2) for w in self.derived(self._weights))
-        none, told, hidden, cell = torch.zeros_like(bias[0, :, 0]), [], [], []
+        both, bias = (w.to(kind) for w in self.derived(self._weights))
+        into, across = both.split(self.size, dim=-1)
+        none, told, hidden, cell = torch.zeros_like(bias[0]), [], [], []
         for group in range(self.groups):
             weights = [
                 into[group].contiguous(),
                 across[group].contiguous(),
-                bias[group, :, 0],
+                bias[group],
                 none,
             ]
             before = (state[0][group, None].to(kind), state[1][group, None].to(kind))

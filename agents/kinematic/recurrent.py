@@ -9,8 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from agents.kinematic.assembly import assembled
 from agents.kinematic.data import MotionBank, Windows
 from agents.kinematic.features import DEVICES, HEAD, SENSOR_JOINTS, features
+from agents.kinematic.few_rows import linear
 from agents.kinematic.hmdposer import HmdPoserNet, HmdPoserSpec
 from agents.kinematic.interface import Body, KinematicSystem, Poses, Signals
 from agents.kinematic.learning import Learning, Task
@@ -30,6 +32,8 @@ WINDOWS_AT_ONCE = 64
 """Of the online protocol: more of them take more memory, not less time."""
 VISIBLE = ((False, False, False), (True, True, False), (True, True, True))
 """Which IMUs there are: HMD, HMD+2IMU, HMD+3IMU; drawn evenly in training."""
+
+_BONE_OF_JOINT = torch.as_tensor(bone_of_joint())
 
 RecurrentSpec = HmdPoserSpec | LgsikSpec
 
@@ -63,7 +67,7 @@ class RecurrentModule(nn.Module):
         """Offsets ``(..., 22, 3)`` of shape numbers ``(..., 16)``."""
         scales = torch.exp((SHAPE_UNIT * shape).clamp(-0.7, 0.7))
         scales = torch.cat([scales, torch.ones_like(scales[..., :1])], dim=-1)
-        return self.template * scales[..., torch.as_tensor(bone_of_joint()), None]
+        return self.template * scales[..., _BONE_OF_JOINT, None]
 
 
 class RecurrentPoser(KinematicSystem):
@@ -80,6 +84,7 @@ class RecurrentPoser(KinematicSystem):
     def __init__(self, module: RecurrentModule, name: str) -> None:
         self.name, self.module = name, module
         module.eval()
+        _compile()
 
     def usable(self, sensors: str | Sequence[str]) -> tuple[str, ...]:
         """As ``KinematicSystem.usable``; IMUs come as none, both knees, or knees and pelvis."""
@@ -92,9 +97,10 @@ class RecurrentPoser(KinematicSystem):
 
     def _begin(self, body: Body) -> None:
         assert self._names is not None
-        self._columns = [
-            self._names.index(name) if name in self._names else None for name in DEVICES
-        ]
+        there = [name in self._names for name in DEVICES]
+        self._worn = np.flatnonzero(there)
+        self._columns = np.array([self._names.index(DEVICES[i]) for i in self._worn])
+        self._seen = torch.tensor([there[3:]])
         self._measured = self.module.body_inputs(body.offsets[None])
         self._states: Any = None
         self._before: tuple[Tensor, Tensor, Tensor] | None = None
@@ -102,21 +108,14 @@ class RecurrentPoser(KinematicSystem):
 
     def _inputs(self, signals: Signals) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Signals in the order of ``DEVICES``, with a batch of one, and which IMUs there are."""
-        frames = len(signals.position)
-        position = torch.zeros(1, frames, 3, 3)
-        rotation = torch.eye(3).expand(1, frames, len(DEVICES), 3, 3).clone()
-        acceleration = torch.zeros(1, frames, 3, 3)
-        for i, column in enumerate(self._columns):
-            if column is None:
-                continue
-            matrix = rot.quat_to_matrix(signals.quat[:, column])
-            rotation[0, :, i] = torch.as_tensor(matrix, dtype=torch.float32)
-            source, into, at = signals.position, position, i
-            if i >= 3:
-                source, into, at = signals.acceleration, acceleration, i - 3
-            into[0, :, at] = torch.as_tensor(source[:, column], dtype=torch.float32)
-        seen = torch.tensor([[column is not None for column in self._columns[3:]]])
-        return position, rotation, acceleration, seen
+        frames, worn, at = len(signals.position), self._worn, self._columns
+        rotation = np.broadcast_to(np.eye(3, dtype=np.float32), (frames, len(DEVICES), 3, 3)).copy()
+        rotation[:, worn] = rot.quat_to_matrix(signals.quat[:, at])
+        acceleration = np.zeros((frames, 3, 3), np.float32)
+        acceleration[:, worn[3:] - 3] = signals.acceleration[:, at[3:]]
+        position = signals.position[:, at[:3]].astype(np.float32)
+        moved, turned, pulled = map(torch.from_numpy, (position, rotation, acceleration))
+        return moved[None], turned[None], pulled[None], self._seen
 
     @torch.no_grad()
     def _next(self, signals: Signals) -> Poses:
@@ -136,13 +135,9 @@ class RecurrentPoser(KinematicSystem):
 
     def _poses(self, six: Tensor, shape: Tensor, heading: Tensor, head: Tensor) -> Poses:
         """Poses ``T`` whose head joint is where it was measured, of the mean body so far."""
-        local = diff.six_d_to_matrix(six)
-        local = torch.cat([(heading @ local[:, 0])[:, None], local[:, 1:]], dim=1)
         offsets = self.module.bones(shape)
-        from_root = diff.positions_from_root(diff.world_matrices(local), offsets)
-        root = head - from_root[:, HEAD]
-        quat = _quats(local.double().numpy())
-        return Poses(root.double().numpy(), quat, offsets.double().numpy())
+        root, quat = assembled(six.numpy(), heading.numpy(), head.numpy(), offsets.numpy())
+        return Poses(root, quat, offsets.double().numpy())
 
     @torch.no_grad()
     def predict_windows(self, sequence: SensorSequence, body: Body, frames: int) -> Poses:
@@ -197,14 +192,14 @@ class RecurrentPoser(KinematicSystem):
         return Signals(position, quat, acceleration, np.stack([f.present for f in frames]))
 
 
-def _quats(matrix: np.ndarray) -> np.ndarray:
-    """Quaternions ``(..., 4)`` of matrices ``(..., 3, 3)``; NaN where those are no rotations."""
-    finite = np.asarray(np.isfinite(matrix).all(axis=(-1, -2)))
-    good = finite & (np.linalg.det(np.where(finite[..., None, None], matrix, 0.0)) > 0.5)
-    quat = np.full((*matrix.shape[:-2], 4), np.nan)
-    if good.any():
-        quat[good] = rot.matrix_to_quat(matrix[good])
-    return quat
+def _compile() -> None:
+    """Compile what a stream runs before it begins: some seconds once, then kept on disk."""
+    with torch.no_grad():
+        linear(torch.zeros(1, 1), torch.zeros(1, 1), torch.zeros(1))
+    place, turn = torch.zeros(1, 1, 3, 3), torch.eye(3).expand(1, 1, len(DEVICES), 3, 3)
+    features(place, turn, place, torch.zeros(1, 3, dtype=torch.bool))
+    pose = np.zeros((1, NUM_JOINTS, 6))
+    assembled(pose, np.eye(3)[None], np.zeros((1, 3)), pose[..., :3])
 
 
 # -- training ----------------------------------------------------------------------------------

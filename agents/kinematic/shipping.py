@@ -71,7 +71,7 @@ def system_provenance(folder: Path) -> dict[str, Any]:
     words = [*options_of(record["args"]), "--minutes", str(minutes), "--out", "runs/NAME"]
     before: dict[str, Any] = {"commands": [], "stages": [], "licences": []}
     if start := record["args"].get("start"):
-        before, called = _start_provenance(start)
+        before, called = _start_provenance(start, record.get("behind", {}).get("start"))
         words += ["--start", called]
     return {
         "commands": [*before["commands"], shlex.join(["python", "train.py", *words])],
@@ -81,21 +81,26 @@ def system_provenance(folder: Path) -> dict[str, Any]:
     }
 
 
-def _start_provenance(start: str) -> tuple[dict[str, Any], str]:
+def _start_provenance(start: str, shipped: dict[str, Any] | None) -> tuple[dict[str, Any], str]:
     """Commands, stages and licences of the system a training started from, and its run's name.
+
+    Args:
+        start: what ``--start`` named.
+        shipped: how that was trained, if it was a shipped system; another version may have the
+            name by now.
 
     Raises:
         InputError: it is gone.
     """
-    folder = find_system(start)
-    if folder is None:
-        raise InputError("what it started from is gone", start)
-    told = read_system_card(folder)["training"]
-    if "stages" in told:
+    told, called = shipped, f"runs/{Path(start).name}"
+    if told is None:
+        folder = find_system(start)
+        if folder is None:
+            raise InputError("what it started from is gone", start)
+        told = read_system_card(folder)["training"]
         called = f"runs/{folder.name}"
-    else:
-        told = system_provenance(folder)
-        called = f"runs/{run_of(folder).name}"
+        if "stages" not in told:
+            told, called = system_provenance(folder), f"runs/{run_of(folder).name}"
     *earlier, last = told["commands"]
     words = [called if word == "runs/NAME" else word for word in shlex.split(last)]
     found = {

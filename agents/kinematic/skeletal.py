@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from agents.kinematic.few_rows import linear
 from agents.kinematic.ready import Derives
 from questsim.skeleton import JOINT_PARENTS
 
@@ -154,7 +155,7 @@ class MaskedLinear(_Masked):
 
     def forward(self, x: Tensor) -> Tensor:
         """``(..., groups in * size_in)`` to ``(..., groups out * size_out)``."""
-        return nn.functional.linear(x, self.masked_weight(), self.bias)
+        return linear(x, self.masked_weight(), self.bias)
 
 
 class MaskedConv(_Masked):

@@ -14,7 +14,13 @@ from agents.kinematic.data import MotionBank, motions_record
 from agents.kinematic.fit import Fit
 from agents.kinematic.learning import Config
 from agents.kinematic.registry import AGENTS
-from agents.kinematic.store import CARD_FILE, find_system, load_module, save_system
+from agents.kinematic.store import (
+    CARD_FILE,
+    find_system,
+    load_module,
+    read_system_card,
+    save_system,
+)
 from agents.monitor import Display
 from agents.overrides import with_overrides
 from agents.run_folder import (
@@ -67,6 +73,7 @@ def train_kinematic(args: TrainArgs) -> int:
     torch.set_num_threads(args.threads)
     torch.manual_seed(args.seed)
     module = entry.build(config.spec)
+    behind = shipped_start(args.start)
     if args.start is not None:
         begin_with(module, args.start, args.agent)
     stopper, banks, begun = Stopper(), {}, []
@@ -74,7 +81,7 @@ def train_kinematic(args: TrainArgs) -> int:
     def begin() -> None:
         # Not earlier: what a stage refuses leaves no run behind.
         if not (args.out / RECORD).exists():
-            start_run(args.out, args, config, data)
+            start_run(args.out, args, config, data, behind)
         elif not begun:
             note_resume(args.out, args, config)
         begun.append(True)
@@ -116,6 +123,16 @@ def begin_with(module: nn.Module, start: Path, agent: str) -> None:
         raise InputError(
             f"{start} is of other sizes", "--start", "use its --preset and --set"
         ) from None
+
+
+def shipped_start(start: Path | None) -> dict[str, Any]:
+    """How the shipped system that ``--start`` names was trained, for the run's record."""
+    folder = None if start is None else find_system(start)
+    if folder is None:  # none is named, or ``begin_with`` refuses it
+        return {}
+    training = read_system_card(folder).get("training") or {}
+    # A run's own folder tells by itself.
+    return {"start": training} if "stages" in training else {}
 
 
 def _refuse_foreign(args: TrainArgs) -> None:
