@@ -208,9 +208,13 @@ def find_policy(path_or_name: str | Path) -> Path:
             return path / part
     if (SHIPPED / path / CARD_FILE).exists():
         return SHIPPED / path
-    shipped = sorted(p.parent.name for p in SHIPPED.glob(f"*/{CARD_FILE}"))
-    names = ", ".join([*shipped, "zero", "random"])
+    names = ", ".join([*shipped_with(CARD_FILE), "zero", "random"])
     raise InputError("is no agent", path_or_name, f"name a policy folder or one of {names}")
+
+
+def shipped_with(card: str) -> tuple[str, ...]:
+    """Names of all that is shipped with a card of that file name."""
+    return tuple(sorted(path.parent.name for path in SHIPPED.glob(f"*/{card}")))
 
 
 def find_teacher(path_or_name: str | Path) -> Path:

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from agents.agent import load_agent
-from agents.checkpoint import CARD_FILE as POLICY_CARD
-from agents.checkpoint import SHIPPED, find_policy, read_card
+from agents.checkpoint import find_policy, read_card
 from agents.comparison_plots import plot_accuracy, plot_plausibility
 from agents.comparison_report import COSTS, TABLES, table, write
 from agents.comparison_run import (
@@ -31,6 +30,7 @@ from agents.kinematic.data import motions_record
 from agents.kinematic.physics import SUFFIX, base_of
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import UNTRAINED, find_system, read_system_card
+from agents.names import shipped_policies
 from agents.run_folder import versions
 from questsim.errors import InputError, at_least
 from questsim.files import whole_file
@@ -137,8 +137,11 @@ def everyone() -> list[str]:
     embedded motions alone.
     """
     systems = [*UNTRAINED, *(name for name in AGENTS if find_system(name) is not None)]
-    policies = sorted(path.parent.name for path in SHIPPED.glob(f"*/{POLICY_CARD}"))
-    apart = [name for name in policies if name != "demo" and not load_agent(name).needs.privileged]
+    apart = [
+        name
+        for name in shipped_policies()
+        if name != "demo" and not load_agent(name).needs.privileged
+    ]
     return [*systems, *(name + SUFFIX for name in systems), *apart]
 
 

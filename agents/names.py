@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from agents.checkpoint import CARD_FILE as POLICY_CARD
-from agents.checkpoint import SHIPPED
+from agents.checkpoint import shipped_with
 
 SYSTEM_CARD = "system.yaml"
 """Says of a folder that it holds a kinematic system; ``agents/kinematic/store.py`` writes it."""
@@ -13,13 +13,9 @@ UNTRAINED = ("ik",)
 
 def shipped_policies() -> tuple[str, ...]:
     """Names of the shipped torque policies."""
-    return _with(POLICY_CARD)
+    return shipped_with(POLICY_CARD)
 
 
 def kinematic_systems() -> tuple[str, ...]:
     """Names of the kinematic systems that are shipped or need no weights."""
-    return (*_with(SYSTEM_CARD), *UNTRAINED)
-
-
-def _with(card: str) -> tuple[str, ...]:
-    return tuple(sorted(path.parent.name for path in SHIPPED.glob(f"*/{card}")))
+    return (*shipped_with(SYSTEM_CARD), *UNTRAINED)

@@ -31,7 +31,7 @@ def main() -> None:
     env = QuestVecEnv(motions, EnvConfig(), num_envs=args.envs, num_threads=args.threads)
     act = springs(env)
     vecenv, bare = side_by_side(env, act, args.steps)
-    subproc = SubprocVecEnv([single_env(motions) for _ in range(args.envs)], start_method="fork")
+    subproc = forked(motions, args.envs)
     obs = np.asarray(subproc.reset())
     times = []
     for _ in range(args.subproc_steps):
@@ -84,9 +84,16 @@ def side_by_side(
     return statistics.median(times["vecenv"]), statistics.median(times["bare"])
 
 
-def single_env(motions: list[Clip]) -> Callable[[], QuestEnv]:
-    """A maker of one environment, as SubprocVecEnv wants it."""
-    return lambda: QuestEnv(motions, EnvConfig())
+def forked(motions: list[Clip], count: int) -> SubprocVecEnv:
+    """So many single environments, each in a process of its own."""
+
+    def single() -> QuestEnv:
+        return QuestEnv(motions, EnvConfig())
+
+    warm = single()  # what is compiled before the fork is compiled once, not 256 times
+    warm.reset()
+    warm.step(warm.action_space.sample())
+    return SubprocVecEnv([single] * count, start_method="fork")
 
 
 if __name__ == "__main__":

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import SubprocVecEnv
 from torch import nn
 
 from agents.policy import TorquePolicy
 from agents.ppo import AdaptivePPO
 from agents.spec import Layout, PolicySpec, initial_gains
 from benchmarks.common import arguments, clips, median_rates, report
-from benchmarks.env_throughput import single_env
+from benchmarks.env_throughput import forked
 from envs import EnvConfig, QuestVecEnv
 
 HIDDEN = (400, 300, 200)
@@ -35,10 +34,7 @@ def main() -> None:
         "n_epochs": args.epochs,
         "seed": 0,
     }
-    warm = single_env(motions)()  # what is compiled before the fork is compiled once, not 256 times
-    warm.reset()
-    warm.step(warm.action_space.sample())
-    subproc = SubprocVecEnv([single_env(motions) for _ in range(args.envs)], start_method="fork")
+    subproc = forked(motions, args.envs)
     reference = PPO(
         "MlpPolicy",
         subproc,

@@ -301,7 +301,6 @@ class BatchSim:
             np.negative(feet, out=self.contact_force)
         self.frame += 1
         np.minimum(self.frame, self._end - 1, out=self.frame)
-        self._run(self._target_chunk, self._chunks, self._all)
         self._run(self._score_chunk, self._chunks)
         self.unstable[:] = (self.batch.warning[:, _UNSTABLE, 1] > 0).any(axis=1)
         self.unstable |= ~np.isfinite(self.error + self.reward)
@@ -340,6 +339,7 @@ class BatchSim:
         )  # fmt: skip
 
     def _score_chunk(self, first: int, last: int) -> None:
+        self._target_chunk(first, last, self._all)
         kernels.score(
             first, last, self.qpos, self.qvel, self._xpos, self._xquat, self._cvel, self._com,
             self.contact_force, self._previous_force, self.frame, self._ratio,

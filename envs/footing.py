@@ -15,8 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from envs.lookups import ground_at, height_at, jit, placed
+from envs.lookups import ground_at, height_at, placed
 from questsim.body import build_body
+from questsim.compiled import jit
 from questsim.motion.clip import FPS
 from questsim.motion.kinematics import link_offsets, sole_points
 from questsim.skeleton import DOFS, LINKS, NUM_DOFS, NUM_LINKS
@@ -157,6 +158,15 @@ def _angles_yxz(q):
 
 
 @jit
+def _under(place, surface, grid, position, quat, point, scale):
+    """A point of a sole on the level floor, x, y and z, and the height of the ground there."""
+    x, y, z = _rotated(quat, point[0] * scale, point[1] * scale, point[2] * scale)
+    x, y, z = x + position[0], y + position[1], z + position[2]
+    world_x, world_y = placed(place, x, y)
+    return x, y, z, height_at(surface, grid, world_x, world_y)
+
+
+@jit
 def _bearing(place, surface, ground, grid, position, quat, soles, scale, lift):
     """How the ground moves a foot.
 
@@ -178,24 +188,23 @@ def _bearing(place, surface, ground, grid, position, quat, soles, scale, lift):
     if length < 1e-6:
         ahead_x, ahead_y, length = 1.0, 0.0, 1.0
     ahead_x, ahead_y = ahead_x / length, ahead_y / length
-    middle_x, middle_y, lowest = 0.0, 0.0, 1e9
-    for k in range(4):
-        x, y, z = _rotated(q, soles[k, 0] * scale, soles[k, 1] * scale, soles[k, 2] * scale)
-        middle_x += 0.25 * (x + position[0])
-        middle_y += 0.25 * (y + position[1])
-        lowest = min(lowest, z + position[2])
+    points = (
+        _under(place, surface, grid, position, q, soles[0], scale),
+        _under(place, surface, grid, position, q, soles[1], scale),
+        _under(place, surface, grid, position, q, soles[2], scale),
+        _under(place, surface, grid, position, q, soles[3], scale),
+    )
+    middle_x, middle_y, lowest, mean, highest = 0.0, 0.0, 1e9, 0.0, -1e9
+    for x, y, z, height in points:
+        middle_x += 0.25 * x
+        middle_y += 0.25 * y
+        mean += 0.25 * height
+        lowest, highest = min(lowest, z), max(highest, height)
     # A plane through the ground under the four points, by least squares along and aside.
-    mean, highest = 0.0, -1e9
     along_height, along_square, aside_height, aside_square = 0.0, 0.0, 0.0, 0.0
-    for k in range(4):
-        x, y, _ = _rotated(q, soles[k, 0] * scale, soles[k, 1] * scale, soles[k, 2] * scale)
-        x, y = x + position[0], y + position[1]
-        world_x, world_y = placed(place, x, y)
-        height = height_at(surface, grid, world_x, world_y)
+    for x, y, _, height in points:
         along = (x - middle_x) * ahead_x + (y - middle_y) * ahead_y
         aside = (y - middle_y) * ahead_x - (x - middle_x) * ahead_y
-        mean += 0.25 * height
-        highest = max(highest, height)
         along_height += along * height
         along_square += along * along
         aside_height += aside * height
@@ -204,14 +213,10 @@ def _bearing(place, surface, ground, grid, position, quat, soles, scale, lift):
     slope_along = along_height / max(along_square, least)
     slope_aside = aside_height / max(aside_square, least)
     over = 0.0
-    for k in range(4):
-        x, y, _ = _rotated(q, soles[k, 0] * scale, soles[k, 1] * scale, soles[k, 2] * scale)
-        x, y = x + position[0], y + position[1]
-        world_x, world_y = placed(place, x, y)
+    for x, y, _, height in points:
         along = (x - middle_x) * ahead_x + (y - middle_y) * ahead_y
         aside = (y - middle_y) * ahead_x - (x - middle_x) * ahead_y
-        plane = mean + slope_along * along + slope_aside * aside
-        over = max(over, height_at(surface, grid, world_x, world_y) - plane)
+        over = max(over, height - (mean + slope_along * along + slope_aside * aside))
     share = min(max(1.0 - lowest / (AIRBORNE_M * scale), 0.0), 1.0)
     share = share * share * (3.0 - 2.0 * share)
     world_x, world_y = placed(place, middle_x, middle_y)
@@ -243,6 +248,37 @@ def _knee_turn(before, after, thigh, shin):
 
 
 @jit
+def _thigh(pelvis, angles, first):
+    """A thigh's orientation by the three hinges from ``first`` on."""
+    turn = _product(_about(1, angles[first]), _about(0, angles[first + 1]))
+    return _product(pelvis, _product(turn, _about(2, angles[first + 2])))
+
+
+@jit
+def _within(legs, hinge, angle):
+    """An angle kept within a hinge's range."""
+    return min(max(angle, legs.range[hinge, 0]), legs.range[hinge, 1])
+
+
+@jit
+def _seen_by(p, q):
+    """The quaternion q in the frame of p."""
+    return _product((p[0], -p[1], -p[2], -p[3]), q)
+
+
+@jit
+def _hip(leg, legs, scale, pelvis, place):
+    """Where a hip is, of a pelvis at ``place``."""
+    x, y, z = _rotated(pelvis, legs.hip[leg, 0], legs.hip[leg, 1], legs.hip[leg, 2])
+    return place[0] + scale * x, place[1] + scale * y, place[2] + scale * z
+
+
+@jit
+def _distance(a, b):
+    return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
+
+
+@jit
 def _bend(leg, legs, scale, pelvis, hip, ankle, before, turn, foot, angles, position, quat):
     """Solve a leg and write its hinges, places and orientations.
 
@@ -259,34 +295,22 @@ def _bend(leg, legs, scale, pelvis, hip, ankle, before, turn, foot, angles, posi
     """
     first, link = 6 * leg, 1 + 3 * leg
     thigh, shin = legs.length[0] * scale, legs.length[1] * scale
-    vx, vy, vz = ankle[0] - hip[0], ankle[1] - hip[1], ankle[2] - hip[2]
-    after = math.sqrt(vx * vx + vy * vy + vz * vz)
-    knee = angles[first + 3] + _knee_turn(before, after, thigh, shin)
-    knee = min(max(knee, legs.range[first + 3, 0]), legs.range[first + 3, 1])
-    upper = _product(
-        _product(_about(1, angles[first]), _about(0, angles[first + 1])),
-        _about(2, angles[first + 2]),
-    )
+    knee = angles[first + 3] + _knee_turn(before, _distance(ankle, hip), thigh, shin)
+    knee = _within(legs, first + 3, knee)
+    upper = _thigh(pelvis, angles, first)
     x, y, z = _rotated(_about(1, knee), 0.0, 0.0, -shin)
-    upper = _product(pelvis, upper)
     x, y, z = _rotated(upper, x, y, z - thigh)
-    upper = _product(_between(x, y, z, vx, vy, vz), upper)
-    back = (pelvis[0], -pelvis[1], -pelvis[2], -pelvis[3])
-    hip_y, hip_x, hip_z = _angles_yxz(_product(back, upper))
-    angles[first] = min(max(hip_y, legs.range[first, 0]), legs.range[first, 1])
-    angles[first + 1] = min(max(hip_x, legs.range[first + 1, 0]), legs.range[first + 1, 1])
-    angles[first + 2] = min(max(hip_z, legs.range[first + 2, 0]), legs.range[first + 2, 1])
+    turned = _between(x, y, z, ankle[0] - hip[0], ankle[1] - hip[1], ankle[2] - hip[2])
+    hip_y, hip_x, hip_z = _angles_yxz(_seen_by(pelvis, _product(turned, upper)))
+    angles[first] = _within(legs, first, hip_y)
+    angles[first + 1] = _within(legs, first + 1, hip_x)
+    angles[first + 2] = _within(legs, first + 2, hip_z)
     angles[first + 3] = knee
-    upper = _product(
-        _product(_about(1, angles[first]), _about(0, angles[first + 1])),
-        _about(2, angles[first + 2]),
-    )
-    upper = _product(pelvis, upper)
+    upper = _thigh(pelvis, angles, first)
     lower = _product(upper, _about(1, knee))
-    back = (lower[0], -lower[1], -lower[2], -lower[3])
-    ankle_y, ankle_x, _ = _angles_yxz(_product(back, _product(turn, foot)))
-    angles[first + 4] = min(max(ankle_y, legs.range[first + 4, 0]), legs.range[first + 4, 1])
-    angles[first + 5] = min(max(ankle_x, legs.range[first + 5, 0]), legs.range[first + 5, 1])
+    ankle_y, ankle_x, _ = _angles_yxz(_seen_by(lower, _product(turn, foot)))
+    angles[first + 4] = _within(legs, first + 4, ankle_y)
+    angles[first + 5] = _within(legs, first + 5, ankle_x)
     sole = _product(_product(lower, _about(1, angles[first + 4])), _about(0, angles[first + 5]))
     x, y, z = _rotated(upper, 0.0, 0.0, -thigh)
     knee_at = (hip[0] + x, hip[1] + y, hip[2] + z)
@@ -310,11 +334,8 @@ def _on_feet(place, surface, ground, grid, legs, scale, lift, rise, angles, posi
     drop = 0.0
     for leg in range(2):
         bearing = left if leg == 0 else right
-        x, y, z = _rotated(pelvis, legs.hip[leg, 0], legs.hip[leg, 1], legs.hip[leg, 2])
-        x, y, z = position[0, 0] + scale * x, position[0, 1] + scale * y, position[0, 2] + scale * z
-        ankle = position[3 + 3 * leg]
-        before = math.sqrt((ankle[0] - x) ** 2 + (ankle[1] - y) ** 2 + (ankle[2] - z) ** 2)
-        reach = max(before, straight)
+        x, y, z = _hip(leg, legs, scale, pelvis, position[0])
+        reach = max(_distance(position[3 + 3 * leg], (x, y, z)), straight)
         across = (bearing[1] - x) ** 2 + (bearing[2] - y) ** 2
         down = math.sqrt(max(reach * reach - across, 0.0))
         drop = max(drop, bearing[0] * (z - bearing[3] - down))
@@ -323,14 +344,8 @@ def _on_feet(place, surface, ground, grid, legs, scale, lift, rise, angles, posi
         rises[link] = rise
     for leg in range(2):
         share, ankle_x, ankle_y, ankle_z, turn = left if leg == 0 else right
-        x, y, z = _rotated(pelvis, legs.hip[leg, 0], legs.hip[leg, 1], legs.hip[leg, 2])
-        hip = (position[0, 0] + scale * x, position[0, 1] + scale * y, position[0, 2] + scale * z)
-        link = 3 + 3 * leg
-        before = math.sqrt(
-            (position[link, 0] - hip[0]) ** 2
-            + (position[link, 1] - hip[1]) ** 2
-            + (position[link, 2] - hip[2]) ** 2
-        )
+        hip, link = _hip(leg, legs, scale, pelvis, position[0]), 3 + 3 * leg
+        before = _distance(position[link], hip)
         foot = (quat[link, 0], quat[link, 1], quat[link, 2], quat[link, 3])
         ankle = (ankle_x, ankle_y, ankle_z)
         _bend(leg, legs, scale, pelvis, hip, ankle, before, turn, foot, angles, position, quat)

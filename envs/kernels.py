@@ -13,30 +13,22 @@ from itertools import pairwise
 import numpy as np
 
 from envs.lookups import ground_at, heading, height_at, placed, turned, unplaced
-from envs.lookups import jit as _jit
+from questsim.compiled import jit, turn_back
 
 
-@_jit
-def _turn_back(c, s, x, y, z, out, at):
-    """Write the vector (x, y, z), turned about z by minus the heading, to out[at:at + 3]."""
-    out[at] = c * x + s * y
-    out[at + 1] = c * y - s * x
-    out[at + 2] = z
-
-
-@_jit
+@jit
 def _columns(c, s, w, x, y, z, out, at):
     """Write the first two columns of the quaternion's matrix in S to out[at:at + 6]."""
-    _turn_back(c, s, 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y), out, at)
-    _turn_back(c, s, 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x), out, at + 3)
+    turn_back(c, s, 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y), out, at)
+    turn_back(c, s, 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x), out, at + 3)
 
 
-@_jit
+@jit
 def _turn_between(c, s, p, q, out, at):
     """Write the turn from quaternion p to q, 2 sin(angle / 2) times its axis in S, to out[at:]."""
     w = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
     two = 2.0 if w >= 0.0 else -2.0
-    _turn_back(
+    turn_back(
         c, s,
         two * (p[0] * q[1] - p[1] * q[0] - p[3] * q[2] + p[2] * q[3]),
         two * (p[0] * q[2] - p[2] * q[0] - p[1] * q[3] + p[3] * q[1]),
@@ -45,7 +37,7 @@ def _turn_between(c, s, p, q, out, at):
     )  # fmt: skip
 
 
-@_jit
+@jit
 def observe(
     first, last, ids, qpos, qvel, xpos, xquat, cvel, com, force, frame, begin, end, ratio, height,
     ref_qvel, ref_velocity, ref_angular_velocity, ref_torque, target, dev_position, dev_quat, late,
@@ -98,21 +90,21 @@ def observe(
         com_x, com_y, com_z = com[i, 1, 0], com[i, 1, 1], com[i, 1, 2]
         for b in range(links):
             x, y, z = xpos[i, b + 1, 0], xpos[i, b + 1, 1], xpos[i, b + 1, 2]
-            _turn_back(c, s, x - root_x, y - root_y, z - below, out, at + 3 * b)
+            turn_back(c, s, x - root_x, y - root_y, z - below, out, at + 3 * b)
             _columns(
                 c, s, xquat[i, b + 1, 0], xquat[i, b + 1, 1], xquat[i, b + 1, 2],
                 xquat[i, b + 1, 3], out, at + 3 * links + 6 * b,
             )  # fmt: skip
             wx, wy, wz = cvel[i, b + 1, 0], cvel[i, b + 1, 1], cvel[i, b + 1, 2]
             rx, ry, rz = x - com_x, y - com_y, z - com_z
-            _turn_back(
+            turn_back(
                 c, s, cvel[i, b + 1, 3] + wy * rz - wz * ry, cvel[i, b + 1, 4] + wz * rx - wx * rz,
                 cvel[i, b + 1, 5] + wx * ry - wy * rx, out, at + 9 * links + 3 * b,
             )  # fmt: skip
-            _turn_back(c, s, wx, wy, wz, out, at + 12 * links + 3 * b)
+            turn_back(c, s, wx, wy, wz, out, at + 12 * links + 3 * b)
         at += 15 * links
         for foot in range(2):
-            _turn_back(c, s, force[i, foot, 0], force[i, foot, 1], force[i, foot, 2], out, at)
+            turn_back(c, s, force[i, foot, 0], force[i, foot, 1], force[i, foot, 2], out, at)
             at += 3
         scale = ratio[i]
         for k in range(offsets.shape[0]):
@@ -124,7 +116,7 @@ def observe(
                 )
                 # Devices keep their height above the user's own floor.
                 z = dev_position[row, d, 2] * scale
-                _turn_back(c, s, x - root_x, y - root_y, z, out, at)
+                turn_back(c, s, x - root_x, y - root_y, z, out, at)
                 _columns(
                     clip_c, clip_s, dev_quat[row, d, 0], dev_quat[row, d, 1],
                     dev_quat[row, d, 2], dev_quat[row, d, 3], out, at + 3,
@@ -141,7 +133,7 @@ def observe(
             at += dofs
             for b in range(links):
                 wanted, quat = target.position[i, slot, b], target.quat[i, slot, b]
-                _turn_back(
+                turn_back(
                     c, s, wanted[0] - xpos[i, b + 1, 0], wanted[1] - xpos[i, b + 1, 1],
                     wanted[2] - xpos[i, b + 1, 2], out, at + 3 * b,
                 )  # fmt: skip
@@ -161,7 +153,7 @@ def observe(
             for b in range(links):
                 x, y, z = xpos[i, b + 1, 0], xpos[i, b + 1, 1], xpos[i, b + 1, 2]
                 wanted = target.position[i, 0, b]
-                _turn_back(c, s, wanted[0] - x, wanted[1] - y, wanted[2] - z, out, at)
+                turn_back(c, s, wanted[0] - x, wanted[1] - y, wanted[2] - z, out, at)
                 _turn_between(
                     clip_c, clip_s, unplaced(place[i], xquat[i, b + 1]), target.quat[i, 0, b],
                     out, at + 3,
@@ -171,7 +163,7 @@ def observe(
                 ref_x, ref_y = turned(
                     place[i], ref_velocity[row, b, 0] * scale, ref_velocity[row, b, 1] * scale
                 )
-                _turn_back(
+                turn_back(
                     c, s,
                     ref_x - (cvel[i, b + 1, 3] + wy * rz - wz * ry),
                     ref_y - (cvel[i, b + 1, 4] + wz * rx - wx * rz),
@@ -182,14 +174,14 @@ def observe(
                 ref_x, ref_y = turned(
                     place[i], ref_angular_velocity[row, b, 0], ref_angular_velocity[row, b, 1]
                 )
-                _turn_back(
+                turn_back(
                     c, s, ref_x - wx, ref_y - wy, ref_angular_velocity[row, b, 2] - wz,
                     out, at + 9,
                 )  # fmt: skip
                 at += 12
 
 
-@_jit
+@jit
 def score(
     first, last, qpos, qvel, xpos, xquat, cvel, com, force, previous_force, frame, ratio,
     ref_qvel, ref_velocity, target, place, kernels, weights, terms, reward, error,
@@ -253,7 +245,7 @@ def score(
         error[i] = distance / links
 
 
-@_jit
+@jit
 def scan(first, last, ids, qpos, points, height, grid, floor, column, obs):
     """Fill ``obs[ids[first:last], column:]`` with the surface around the avatar.
 

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
-import numba
-
-jit: Any = numba.njit(cache=True, nogil=True, error_model="numpy")
+from questsim.compiled import jit
 
 
 @jit

@@ -7,14 +7,12 @@ them, in double precision; a frame at a time, PyTorch spends far longer on calls
 from __future__ import annotations
 
 import math
-from typing import Any
 
-import numba
 import numpy as np
 
+from questsim.compiled import jit
 from questsim.skeleton import JOINT_PARENTS, JOINTS
 
-_jit: Any = numba.njit(cache=True, nogil=True, error_model="numpy")
 _PARENTS = np.array(JOINT_PARENTS)
 _HEAD = JOINTS.index("head")
 
@@ -40,7 +38,7 @@ def assembled(
     return root, quat
 
 
-@_jit
+@jit
 def _assemble(six, heading, head, offsets, parents, root, quat):
     joints = len(parents)
     world, place = np.empty((joints, 3, 3)), np.empty((joints, 3))
@@ -68,7 +66,7 @@ def _assemble(six, heading, head, offsets, parents, root, quat):
             root[t, i] = head[t, i] - place[_HEAD, i]
 
 
-@_jit
+@jit
 def _matrix(six, out):
     """Write the rotation of two columns (Zhou et al. 2019); whether it is one."""
     x, y = out[:, 0], out[:, 1]
@@ -93,14 +91,14 @@ def _matrix(six, out):
     return out[0, 2] ** 2 + out[1, 2] ** 2 + out[2, 2] ** 2 > 0.5
 
 
-@_jit
+@jit
 def _multiply(a, b, out):
     for i in range(3):
         for j in range(3):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
 
 
-@_jit
+@jit
 def _quaternion(m, out):
     """Write the quaternion wxyz of a rotation, its largest component positive."""
     trace = m[0, 0] + m[1, 1] + m[2, 2]

@@ -6,13 +6,13 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
-from agents.checkpoint import CARD_FILE as POLICY_CARD
 from agents.checkpoint import SHIPPED, read_card
 from agents.kinematic.ik import DEVICES as IK_DEVICES
 from agents.kinematic.physics import SUFFIX, TRACKER
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import CARD_FILE, read_system_card
 from agents.licence import OURS, licence_of, strictest
+from agents.names import shipped_policies
 
 KEYS = ("agent", "preset", "title", "sensors", "parameters", "licence", "weights")
 
@@ -94,11 +94,11 @@ def _policies() -> list[dict[str, Any]]:
     from agents.checkpoint import load_policy
 
     entries = []
-    for path in sorted(SHIPPED.glob(f"*/{POLICY_CARD}")):
-        card, policy = read_card(path.parent), load_policy(path.parent).policy
+    for name in shipped_policies():
+        card, policy = read_card(SHIPPED / name), load_policy(SHIPPED / name).policy
         entries.append(
             {
-                "agent": path.parent.name,
+                "agent": name,
                 "preset": card["training"].get("preset", "-"),
                 "title": "torque policy",
                 "sensors": [card["needs"]["sensors"]],

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
-import numba
 import numpy as np
 import torch
 from torch import Tensor
 
+from questsim.compiled import jit, turn_back
 from questsim.joint_sensors import SENSOR_FPS
 from questsim.skeleton import JOINTS
 
@@ -46,7 +45,6 @@ for _i, _name in enumerate(("left_leg", "right_leg", "pelvis")):
     ATOMS[_name] += [*range(126 + 3 * _i, 129 + 3 * _i)]
 NUM_FEATURES = 135
 
-_jit: Any = numba.njit(cache=True, nogil=True, error_model="numpy")
 _FPS, _UNIT = np.float32(SENSOR_FPS), np.float32(ACCELERATION_UNIT)
 
 
@@ -75,7 +73,7 @@ def features(
     return torch.from_numpy(told), torch.from_numpy(heading)
 
 
-@_jit
+@jit
 def _tell(position, rotation, acceleration, seen, told, heading):
     """Write the numbers of each frame into zeros; see ``features``."""
     frames = position.shape[1]
@@ -93,18 +91,18 @@ def _tell(position, rotation, acceleration, seen, told, heading):
                 if i < 3 or seen[b, i - 3]:
                     for c in range(2):
                         x, y, z = turns[i, 0, c], turns[i, 1, c], turns[i, 2, c]
-                        _seen_from(cos, sin, x, y, z, out, 6 * i + 3 * c)
+                        turn_back(cos, sin, x, y, z, out, 6 * i + 3 * c)
                     _spin(turns_before[i], turns[i], out, 36 + 6 * i)
             for i in range(3):
                 x, y, z = at[i, 0] - at[0, 0], at[i, 1] - at[0, 1], at[i, 2]
-                _seen_from(cos, sin, x, y, z, out, 72 + 3 * i)
+                turn_back(cos, sin, x, y, z, out, 72 + 3 * i)
                 x, y, z = at[i, 0], at[i, 1], at[i, 2]
                 x, y, z = x - at_before[i, 0], y - at_before[i, 1], z - at_before[i, 2]
-                _seen_from(cos, sin, x * _FPS, y * _FPS, z * _FPS, out, 81 + 3 * i)
+                turn_back(cos, sin, x * _FPS, y * _FPS, z * _FPS, out, 81 + 3 * i)
                 if seen[b, i]:
                     x, y, z = acceleration[b, t, i]
                     x, y, z = x / _UNIT, y / _UNIT, z / _UNIT
-                    _seen_from(cos, sin, x, y, z, out, 126 + 3 * i)
+                    turn_back(cos, sin, x, y, z, out, 126 + 3 * i)
             _in_head(turns, at, now, place)
             _in_head(turns_before, at_before, was, last)
             for h in range(2):
@@ -115,7 +113,7 @@ def _tell(position, rotation, acceleration, seen, told, heading):
                     out[120 + 3 * h + k] = (place[h, k] - last[h, k]) * _FPS
 
 
-@_jit
+@jit
 def _heading(x, y):
     """Cosine and sine of the direction of (x, y); of none, those of zero."""
     length = math.sqrt(x * x + y * y)
@@ -124,15 +122,7 @@ def _heading(x, y):
     return 1.0, 0.0
 
 
-@_jit
-def _seen_from(cos, sin, x, y, z, out, at):
-    """Write a vector, turned about z by minus the heading, to out[at:at + 3]."""
-    out[at] = cos * x + sin * y
-    out[at + 1] = cos * y - sin * x
-    out[at + 2] = z
-
-
-@_jit
+@jit
 def _spin(before, now, out, at):
     """Write the first two columns of the turn from one matrix to another to out[at:at + 6]."""
     for c in range(2):
@@ -141,7 +131,7 @@ def _spin(before, now, out, at):
             out[at + 3 * c + k] = turned
 
 
-@_jit
+@jit
 def _in_head(turns, at, hands, place):
     """Write turns and places of both hands as the head sees them."""
     for h in range(2):
