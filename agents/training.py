@@ -31,6 +31,7 @@ from agents.run_folder import (
 from agents.stage import Budget, Stage, Stopper
 from envs import QuestVecEnv
 from envs.config import EnvConfig
+from envs.objects import objects_named
 from envs.pushes import Pushes
 from envs.randomisation import Randomisation
 from envs.terrain import terrain_named
@@ -94,6 +95,8 @@ class TrainArgs:
     pushes: tuple[float, float] | None = None
     """Push the avatars every 1 to 4 s for 0.2 s at the chest, with this least and greatest force in
     newtons, in any direction."""
+    objects: tuple[str, ...] = ()
+    """Things on the clips' paths, to stumble over and to kick: ball, box, hurdle, chair."""
     randomisation: Randomisation = field(default_factory=Randomisation)
     """What differs between the simulations."""
     hold_out: str = ""
@@ -274,6 +277,7 @@ def _env_config(args: TrainArgs, preset: Preset, config: StageConfig) -> EnvConf
         max_error_m=config.max_error_m,
         terrain=None if args.env is None else terrain_named(args.env, "--env"),
         pushes=None if args.pushes is None else Pushes(args.pushes, pause_s=_PAUSE_S),
+        objects=objects_named(args.objects, "--objects"),
         randomisation=None if args.randomisation == Randomisation() else args.randomisation,
     )
 

@@ -21,6 +21,7 @@ from agents.provenance import commands, options_of, stages_behind
 from agents.shipping import ShipArgs, ship
 from agents.training import TrainArgs, train
 from envs import BatchSim, EnvConfig, Pushes, Randomisation, Terrain
+from envs.objects import WorldObject
 from envs.placement import Placement
 from envs.reference import Reference
 from envs.terrain import TERRAINS, height_field, terrain_named, tile_centre
@@ -148,6 +149,7 @@ FEW = ["--steps", "128", "--envs", "8", "--threads", "1"]
 WILD = {
     "env": "mixed:flat_share=0.5",
     "pushes": (0.0, 80.0),
+    "objects": ("ball",),
     "randomisation": Randomisation(friction=(0.7, 1.2), latency_frames=(0, 2)),
 }
 
@@ -174,10 +176,11 @@ def test_teacher_and_student_learn_on_mixed_ground_under_pushes(
     for config in made:
         assert config.terrain == terrain_named("mixed:flat_share=0.5")
         assert config.pushes == Pushes((0.0, 80.0), pause_s=(1.0, 4.0))
+        assert config.objects == (WorldObject("ball"),)
         assert config.randomisation == WILD["randomisation"]
     args = yaml.safe_load((out / "run.yaml").read_text())["args"]
     words = " ".join(options_of(args))
-    assert "--pushes 0.0 80.0 --randomisation.friction 0.7 1.2" in words
+    assert "--pushes 0.0 80.0 --objects ball --randomisation.friction 0.7 1.2" in words
     assert train(tiny(out, resume=True, steps=256, **WILD)) == 0
     with pytest.raises(InputError, match="--pushes was"):
         train(tiny(out, resume=True, **(WILD | {"pushes": None})))
