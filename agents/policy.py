@@ -13,6 +13,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.type_aliases import Schedule
 from torch import Tensor, nn
 
+from agents.precision import native_bfloat16
 from agents.spec import JOINT_BLOCK, REFERENCE_BLOCK, TORQUE_BLOCK, Layout, PolicySpec
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "elu": nn.ELU, "silu": nn.SiLU}
@@ -261,10 +262,13 @@ class TorquePolicy(ActorCriticPolicy):
         return self.critic(obs) if self.critic is not None else obs.new_zeros(len(obs), 1)
 
     def use_bfloat16(self, on: bool) -> None:
-        """Choose the precision of matrix products: bfloat16 to train, float32 to act."""
-        self.actor.low_precision = on
+        """Choose the precision of matrix products: bfloat16 to train, float32 to act.
+
+        Stays float32 on a processor without bfloat16.
+        """
+        self.actor.low_precision = on and native_bfloat16()
         if self.critic is not None:
-            self.critic.low_precision = on
+            self.critic.low_precision = self.actor.low_precision
 
     def log_prob(self, mean: Tensor, actions: Tensor) -> Tensor:
         """Log density ``(n,)`` of actions ``(n, 33)`` around the mean."""

@@ -26,7 +26,8 @@ class PPOConfig:
         reward_scale: factor on rewards, so that values are of order one.
         noise_legs_and_trunk, noise_arms_and_neck: start values of the exploration noise.
         learn_noise: whether the noise is trained.
-        bfloat16: precision of matrix products while training; float32 otherwise.
+        bfloat16: precision of matrix products while training, where the processor has it; float32
+            otherwise.
         critic_warmup_steps: environment steps in which only the critic learns.
     """
 

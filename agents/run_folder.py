@@ -11,8 +11,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import torch
 import yaml
 
+from agents.precision import native_bfloat16
 from questsim.errors import InputError
 from questsim.files import whole_file
 from questsim.motion.clip import Clip
@@ -45,6 +47,9 @@ def versions() -> dict[str, str]:
             found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
             found[package] = "not installed"
+    # The same seed gives the same bits where these are the same.
+    found["processor"] = torch.backends.cpu.get_cpu_capability()
+    found["bfloat16"] = "native" if native_bfloat16() else "not native"
     return found
 
 

@@ -17,6 +17,7 @@ from agents.kinematic.hmdposer import HmdPoserNet, HmdPoserSpec
 from agents.kinematic.interface import Body, KinematicSystem, Poses, Signals
 from agents.kinematic.learning import Learning, Task
 from agents.kinematic.lgsik import SHAPE_INPUTS, LgsikNet, LgsikSpec
+from agents.precision import products
 from questsim import differentiable as diff
 from questsim import rotations as rot
 from questsim.errors import InputError
@@ -311,7 +312,7 @@ def make_task(
         windows, seen = batch
         told, heading, target = training_inputs(windows, seen)
         body = module.body_inputs(target.offsets.numpy())
-        with torch.autocast("cpu", torch.bfloat16, learning.bfloat16 and module.training):
+        with products(learning.bfloat16 and module.training):
             six, shape, _ = module.net(told, body)
         return losses(module, six.float(), shape.float(), heading, target)
 

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from agents.kinematic.data import MotionBank, Windows
 from agents.kinematic.learning import Learning, Task
 from agents.kinematic.sparseposer import ENDS, LIMBS, TURNED, SparsePoserModule, root_space
+from agents.precision import products
 from questsim import differentiable as diff
 from questsim.skeleton import NUM_JOINTS
 
@@ -106,7 +107,7 @@ def _generator_loss(module: SparsePoserModule, bfloat16: bool) -> _Loss:
 
     def loss(windows: Windows) -> tuple[Tensor, dict[str, float]]:
         sparse, _, offsets, target = _prepared(module, windows)
-        with torch.autocast("cpu", torch.bfloat16, bfloat16 and module.training):
+        with products(bfloat16 and module.training):
             out = module.generator(sparse, offsets.flatten(1))
         dual = module.unit(out.float())
         squared = (module.normal(dual) - module.normal(target)).square()
