@@ -135,8 +135,10 @@ class Dagger:
         by_teacher = torch.rand(n, 1, generator=self.generator) < self.beta
         for _ in range(self.config.rollout_steps):
             obs = torch.from_numpy(self._obs)
+            # The teacher sees what the user did, even where the student is shown an estimate.
+            truth = torch.from_numpy(getattr(self.env, "true_observation", self._obs))
             label, own = self._workers.run(
-                partial(_mean, self.teacher, obs), partial(_mean, self.policy, obs)
+                partial(_mean, self.teacher, truth), partial(_mean, self.policy, obs)
             )
             noise = torch.randn(label.shape, generator=self.generator) * self.noise
             action = torch.where(by_teacher, label, own) + self.config.exploration * noise

@@ -254,7 +254,11 @@ def env_config(agent: Agent, env_id: str | None = None, height_m: float | None =
 
 
 def roll_out(
-    agent: Agent, clips: Sequence[Clip], config: EnvConfig, threads: int = 1
+    agent: Agent,
+    clips: Sequence[Clip],
+    config: EnvConfig,
+    threads: int = 1,
+    shown: Sequence[Clip] | None = None,
 ) -> list[Rollout]:
     """Let an agent follow clips, in as few batches as the memory allows.
 
@@ -263,6 +267,7 @@ def roll_out(
         clips: what to follow.
         config: with ``fixed_start``.
         threads: of the physics.
+        shown: what the agent sees in place of the clips, see ``BatchSim``.
 
     Returns:
         One rollout a clip, in their order.
@@ -276,7 +281,9 @@ def roll_out(
     for first in range(0, len(order), BATCH_CLIPS):
         part = order[first : first + BATCH_CLIPS]
         batch = [clips[i] for i in part]
-        rollouts.update(zip(part, _roll_out_batch(agent, batch, config, threads), strict=True))
+        seen = None if shown is None else [shown[i] for i in part]
+        rolled = _roll_out_batch(agent, batch, config, threads, seen)
+        rollouts.update(zip(part, rolled, strict=True))
     return [rollouts[i] for i in range(len(clips))]
 
 
@@ -327,9 +334,9 @@ class Recorder:
 
 
 def _roll_out_batch(
-    agent: Agent, clips: list[Clip], config: EnvConfig, threads: int
+    agent: Agent, clips: list[Clip], config: EnvConfig, threads: int, shown: list[Clip] | None
 ) -> list[Rollout]:
-    sim = evaluation_sim(clips, config, threads)
+    sim = evaluation_sim(clips, config, threads, shown=shown)
     try:
         agent.bind(sim)
         recorder = Recorder(sim, max(len(clip) for clip in clips))

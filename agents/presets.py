@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from agents.dagger import DaggerConfig
 from agents.spec import SPARSE_BLOCKS, TRACKER_BLOCKS, PolicySpec
@@ -107,6 +107,8 @@ TEACHER = PolicySpec(
 STUDENT = PolicySpec(
     actor_blocks=SPARSE_BLOCKS, critic_blocks=(), hidden=(512, 400, 300), activation="elu"
 )
+SHOWN_ESTIMATES = replace(TEACHER, critic_blocks=())
+"""A student that follows what kinematic systems make of the devices; as large as a teacher."""
 # The critic is thrown away after training, so it may see what the actor must guess.
 FINETUNED = PolicySpec(
     actor_blocks=SPARSE_BLOCKS,

@@ -53,7 +53,11 @@ class Followed:
 
 
 def evaluation_sim(
-    clips: Sequence[Clip], config: EnvConfig, threads: int = 1, seed: int = 0
+    clips: Sequence[Clip],
+    config: EnvConfig,
+    threads: int = 1,
+    seed: int = 0,
+    shown: Sequence[Clip] | None = None,
 ) -> BatchSim:
     """One simulation a clip, each starting at its clip's first frame.
 
@@ -62,8 +66,9 @@ def evaluation_sim(
         config: with ``fixed_start``.
         threads: of the physics.
         seed: of the devices' noise, if any.
+        shown: what the agent sees in place of the clips, see ``BatchSim``.
     """
-    return BatchSim(clips, config, num_envs=len(clips), seed=seed, num_threads=threads)
+    return BatchSim(clips, config, len(clips), seed, threads, shown)
 
 
 def follow(

@@ -17,7 +17,7 @@ from agents.learner import Learner
 from agents.monitor import Display
 from agents.overrides import with_overrides
 from agents.ppo import AdaptivePPO
-from agents.presets import PRESETS, PPOConfig, Preset, StageConfig
+from agents.presets import PRESETS, SHOWN_ESTIMATES, PPOConfig, Preset, StageConfig
 from agents.rolling import Followed, choose_clips, evaluation_sim, follow
 from agents.run_folder import (
     RECORD,
@@ -39,6 +39,7 @@ from questsim.errors import InputError, at_least
 from questsim.motion.clip import Clip
 
 INTERRUPTED = 130
+Pairs = dict[str, tuple[Clip, Clip]]
 _PAUSE_S = (1.0, 4.0)
 """Between pushes: long enough to recover from one before the next."""
 MAY_DIFFER_ON_RESUME = {
@@ -81,6 +82,9 @@ class TrainArgs:
     """A teacher, by folder or shipped name, whose weights the teacher begins with; with --stage
     student or finetune, a policy (a run, a stage, a shipped name) that is trained further; with a
     kinematic --agent, a system of that agent and these sizes."""
+    estimates: str | None = None
+    """Libraries of questsim estimate, joined by commas, of --motions: with --stage student what
+    learns is a tracker that is shown these while its teacher sees what the users did."""
     sensors: str = "H+2C"
     """What the policy sees of the user."""
     future_frames: int = 6
@@ -131,7 +135,12 @@ def train(args: TrainArgs) -> int:
     else:
         refuse_existing(args.out)
     clips = load_clips(args)
-    data = data_record(args.motions, clips)
+    shown = _estimates(args, clips)
+    if shown is None:
+        data = data_record(args.motions, clips)
+    else:
+        clips = [truth for truth, _ in shown.values()]
+        data = data_record(args.motions, [clip for pair in shown.values() for clip in pair])
     if args.resume:
         check_same_run(read_run(args.out), args, data, MAY_DIFFER_ON_RESUME, args.out)
 
@@ -149,7 +158,7 @@ def train(args: TrainArgs) -> int:
     stopper = Stopper()
     with Display() as display, stopper.listening():
         for name in names:
-            _run_stage(name, args, preset, clips, data, display, stopper, begin)
+            _run_stage(name, args, preset, clips, shown, data, display, stopper, begin)
             if stopper.requested:
                 display.say(f"stopped; go on with --resume --out {args.out}")
                 return INTERRUPTED
@@ -195,6 +204,37 @@ def load_clips(args: TrainArgs) -> list[Clip]:
     return load_motions(args.motions, mirrored=args.mirrored, seed=args.seed)
 
 
+def _estimates(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
+    """Of each estimate what the user did, under the estimate's name, and the estimate itself.
+
+    Raises:
+        InputError: the stage has no use for estimates, or they are not of these clips.
+    """
+    from questsim.motion.spec import load_motions
+
+    if args.estimates is None:
+        return None
+    if args.stage != "student":
+        raise InputError(f"are for students, not for {args.stage}", "--estimates")
+    if args.mirrored:
+        raise InputError("are not mirrored", "--estimates", "leave out --mirrored")
+    known = {clip.name: clip for clip in clips}
+    pairs: Pairs = {}
+    for estimate in load_motions(args.estimates, seed=args.seed):
+        user, at, _ = estimate.name.rpartition("@")
+        if not at or user not in known:
+            raise InputError(
+                f"{estimate.name!r} is an estimate of none of --motions",
+                args.estimates,
+                "name a library that questsim estimate made of them",
+            )
+        name, again = estimate.name, 2
+        while name in pairs:  # of the same system, from other devices
+            name, again = f"{estimate.name} {again}", again + 1
+        pairs[name] = replace(known[user], name=name), estimate
+    return pairs
+
+
 def _stage_names(args: TrainArgs, preset: Preset) -> list[str]:
     if args.stage == "all":
         return [name for name, stage in preset.stages.items() if stage.share > 0]
@@ -212,24 +252,31 @@ def _run_stage(
     args: TrainArgs,
     preset: Preset,
     clips: Sequence[Clip],
+    shown: Pairs | None,
     data: dict[str, Any],
     display: Display,
     stopper: Stopper,
     begin: Callable[[], None],
 ) -> None:
     config = preset.stages[name]
+    if shown is not None:
+        config = replace(config, policy=SHOWN_ESTIMATES)
     env_config = _env_config(args, preset, config)
     learnt, validation = split_validation(clips, args.hold_out, preset.validation_clips)
     # Each stage has its own stream of random numbers, whether it runs alone or after another.
     seed = args.seed + 1000 * list(preset.stages).index(name)
     torch.manual_seed(seed)
-    env = QuestVecEnv(
-        learnt, env_config, preset.num_envs if args.envs is None else args.envs, seed, args.threads
-    )
+
+    def seen(part: Sequence[Clip]) -> list[Clip] | None:
+        return None if shown is None else [shown[clip.name][1] for clip in part]
+
+    count = preset.num_envs if args.envs is None else args.envs
+    env = QuestVecEnv(learnt, env_config, count, seed, args.threads, seen(learnt))
     sim = evaluation_sim(
         validation,
         replace(env_config, fixed_start=True, max_error_m=EnvConfig().max_error_m),
         args.threads,
+        shown=seen(validation),
     )
 
     def validate(agent: PolicyAgent) -> Followed:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -42,8 +42,18 @@ _UNSTABLE = [
 
 _NUM_POSITIONS, _NUM_VELOCITIES = 7 + NUM_DOFS, 6 + NUM_DOFS
 
+_SAME_HEIGHT_M = 0.002
+
 # What belongs to a running episode, beside the physics.
 _EPISODE = ("clip", "frame", "_first", "_end", "contact_force", "_previous_force")
+
+
+class _View(NamedTuple):
+    """A reference, what it asks for now, and what is observed of it."""
+
+    reference: Reference
+    target: footing.Target
+    observation: np.ndarray
 
 
 class BatchSim:
@@ -55,10 +65,14 @@ class BatchSim:
         num_envs: simulations; None means one for each clip.
         seed: of sampling and of the devices' noise.
         num_threads: threads of physics and kernels; results do not depend on it.
+        shown: what an agent sees of the motions, devices and reference, in place of ``clips``: one
+            for each, as long and as tall, e.g. what a kinematic system makes of it. Episodes begin,
+            and are scored, by ``clips``.
 
     Attributes:
         layout: slices of an observation by name.
         observation: ``(n, size)`` float32, of the present state.
+        true_observation: the same where nothing is ``shown``, else what it would be without.
         reward: ``(n,)``; reward_terms: ``(n, 6)`` in the order of ``TERMS``.
         error: ``(n,)`` mean distance of the links from the reference in metres.
         fell, ended, unstable: ``(n,)`` bool of the last step: the error passed its limit (or
@@ -75,6 +89,7 @@ class BatchSim:
         num_envs: int | None = None,
         seed: int = 0,
         num_threads: int = 1,
+        shown: Sequence[Clip] | None = None,
     ) -> None:
         self.config = config or EnvConfig()
         self.num_envs = n = len(clips) if num_envs is None else num_envs
@@ -83,6 +98,7 @@ class BatchSim:
         if self.config.fixed_start and n > len(clips):
             raise InputError(f"{n} environments for {len(clips)} clips", "fixed_start")
         self.reference = Reference.of(clips, self.config, seed)
+        seen = self.reference if shown is None else self._reference_shown(clips, shown, seed)
         self.layout = observation_layout(self.config)
         self.heights = self._heights()
         self._ratio = self.heights / DEFAULT_HEIGHT_M
@@ -106,9 +122,18 @@ class BatchSim:
         ahead = (0, 1, *self._privileged.tolist()) if self.config.privileged else (0,)
         self._ahead, self._legs = np.unique(ahead), footing.legs()
         self._slots = np.searchsorted(self._ahead, self._privileged)
-        self._target = footing.Target.of(n, len(self._ahead))
         self._weights, self._kernels = self.config.reward.weights, self.config.reward.kernels
-        self.observation = np.zeros((n, observation_size(self.layout)), np.float32)
+        self._views = tuple(
+            _View(
+                reference,
+                footing.Target.of(n, len(self._ahead)),
+                np.zeros((n, observation_size(self.layout)), np.float32),
+            )
+            for reference in ((self.reference,) if shown is None else (self.reference, seen))
+        )
+        self._target = self._views[0].target
+        self.true_observation = self._views[0].observation
+        self.observation = self._views[-1].observation
         self.reward, self.reward_terms = np.zeros(n), np.zeros((n, len(TERMS)))
         self.error = np.zeros(n)
         self.fell, self.ended = np.zeros(n, bool), np.zeros(n, bool)
@@ -119,6 +144,21 @@ class BatchSim:
         self._begin = np.zeros(n, np.int64)
         self.contact_force = np.zeros((n, 2, 3))
         self._previous_force = np.zeros((n, 2))
+
+    def _reference_shown(
+        self, clips: Sequence[Clip], shown: Sequence[Clip], seed: int
+    ) -> Reference:
+        if len(clips) != len(shown):
+            raise InputError(f"{len(shown)} clips to show for {len(clips)}", "shown")
+        for clip, other in zip(clips, shown, strict=True):
+            if len(clip) != len(other) or abs(clip.height_m - other.height_m) > _SAME_HEIGHT_M:
+                raise InputError(
+                    f"{len(other)} frames of {other.height_m:.3f} m are shown for {len(clip)} of "
+                    f"{clip.height_m:.3f} m",
+                    clip.name,
+                    "show what was made of this very clip",
+                )
+        return Reference.of(shown, self.config, seed)
 
     def _heights(self) -> np.ndarray:
         """Stature in metres of each environment's body ``(n,)``."""
@@ -311,8 +351,9 @@ class BatchSim:
         self.signals.advance(self.frame + self._user_offsets[-1] - self.signals.late)
         self._observe(self._all)
         if self.unstable.any():
-            broken = self.observation[self.unstable]
-            self.observation[self.unstable] = np.nan_to_num(broken, posinf=0.0, neginf=0.0)
+            for view in self._views:
+                broken = view.observation[self.unstable]
+                view.observation[self.unstable] = np.nan_to_num(broken, posinf=0.0, neginf=0.0)
 
     def record_ended(self, ids: np.ndarray) -> None:
         """Tell the sampler how the episodes of ``ids`` ended; call before their ``reset``."""
@@ -330,13 +371,13 @@ class BatchSim:
                 future.result()
 
     def _target_chunk(self, first: int, last: int, ids: np.ndarray) -> None:
-        reference, target = self.reference, self._target
-        footing.fill(
-            first, last, ids, self.frame, self._begin, self._end, self._ahead, self._ratio,
-            reference.qpos, reference.position, reference.quat, self.placement.place,
-            self._surface, self._ground, self._grid, self._legs,
-            target.angles, target.position, target.quat, target.rise,
-        )  # fmt: skip
+        for reference, target, _ in self._views:
+            footing.fill(
+                first, last, ids, self.frame, self._begin, self._end, self._ahead, self._ratio,
+                reference.qpos, reference.position, reference.quat, self.placement.place,
+                self._surface, self._ground, self._grid, self._legs,
+                target.angles, target.position, target.quat, target.rise,
+            )  # fmt: skip
 
     def _score_chunk(self, first: int, last: int) -> None:
         self._target_chunk(first, last, self._all)
@@ -352,22 +393,22 @@ class BatchSim:
         self._run(self._observe_chunk, parts, ids)
 
     def _observe_chunk(self, first: int, last: int, ids: np.ndarray) -> None:
-        reference = self.reference
-        kernels.observe(
-            first, last, ids, self.qpos, self.qvel, self._xpos, self._xquat, self._cvel,
-            self._com, self.contact_force, self.frame, self._begin, self._end, self._ratio,
-            self.heights, reference.qvel, reference.velocity, reference.angular_velocity,
-            reference.torque, self._target, reference.dev_position, reference.dev_quat,
-            self.signals.late, self.signals.newest, self._user_offsets, self._privileged,
-            self._slots, self.placement.place, self._ground, self._grid, self._floor,
-            self.observation,
-        )  # fmt: skip
-        if "height_scan" in self.layout:
-            column = self.layout["height_scan"].start
-            kernels.scan(
-                first, last, ids, self.qpos, SCAN_POINTS, self._surface, self._grid, self._floor,
-                column, self.observation,
+        for reference, target, observation in self._views:
+            kernels.observe(
+                first, last, ids, self.qpos, self.qvel, self._xpos, self._xquat, self._cvel,
+                self._com, self.contact_force, self.frame, self._begin, self._end, self._ratio,
+                self.heights, reference.qvel, reference.velocity, reference.angular_velocity,
+                reference.torque, target, reference.dev_position, reference.dev_quat,
+                self.signals.late, self.signals.newest, self._user_offsets, self._privileged,
+                self._slots, self.placement.place, self._ground, self._grid, self._floor,
+                observation,
             )  # fmt: skip
+            if "height_scan" in self.layout:
+                column = self.layout["height_scan"].start
+                kernels.scan(
+                    first, last, ids, self.qpos, SCAN_POINTS, self._surface, self._grid,
+                    self._floor, column, observation,
+                )  # fmt: skip
 
     def seed(self, seed: int) -> None:
         """Begin the stream of random clips, frames and places anew."""

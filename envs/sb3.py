@@ -28,7 +28,7 @@ class QuestVecEnv(VecEnv):
     ``reward_terms`` ``(n, 6)``.
 
     Args:
-        clips, config, num_envs, seed, num_threads: as of ``BatchSim``.
+        clips, config, num_envs, seed, num_threads, shown: as of ``BatchSim``.
     """
 
     def __init__(
@@ -38,9 +38,10 @@ class QuestVecEnv(VecEnv):
         num_envs: int | None = None,
         seed: int = 0,
         num_threads: int = 1,
+        shown: Sequence[Clip] | None = None,
     ) -> None:
         self.render_mode = None
-        self.sim = BatchSim(clips, config, num_envs, seed, num_threads)
+        self.sim = BatchSim(clips, config, num_envs, seed, num_threads, shown)
         size = observation_size(self.sim.layout)
         super().__init__(
             self.sim.num_envs,

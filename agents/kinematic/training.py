@@ -44,7 +44,7 @@ INTERRUPTED = 130
 MAY_DIFFER_ON_RESUME = {"minutes", "steps", "resume", "threads", "out", "set"}
 NOT_OURS = (
     "stage", "teacher", "sensors", "future_frames", "heights", "mirrored", "hold_out",
-    "envs", "env", "pushes", "objects", "randomisation",
+    "envs", "env", "pushes", "objects", "estimates", "randomisation",
 )  # fmt: skip
 """Options of the torque policies' training alone."""
 
