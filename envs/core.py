@@ -43,6 +43,7 @@ _UNSTABLE = [
 _NUM_POSITIONS, _NUM_VELOCITIES = 7 + NUM_DOFS, 6 + NUM_DOFS
 
 _SAME_HEIGHT_M = 0.002
+_NOW = np.zeros(1, np.int64)
 
 # What belongs to a running episode, beside the physics.
 _EPISODE = ("clip", "frame", "_first", "_end", "contact_force", "_previous_force")
@@ -131,7 +132,8 @@ class BatchSim:
             )
             for reference in ((self.reference,) if shown is None else (self.reference, seen))
         )
-        self._target = self._views[0].target
+        # What is asked of the links: on a terrain, other than what is seen, feet that walk as well.
+        self._target = self._views[0].target if field is None else footing.Target.of(n, 1)
         self.true_observation = self._views[0].observation
         self.observation = self._views[-1].observation
         self.reward, self.reward_terms = np.zeros(n), np.zeros((n, len(TERMS)))
@@ -372,12 +374,26 @@ class BatchSim:
 
     def _target_chunk(self, first: int, last: int, ids: np.ndarray) -> None:
         for reference, target, _ in self._views:
-            footing.fill(
-                first, last, ids, self.frame, self._begin, self._end, self._ahead, self._ratio,
-                reference.qpos, reference.position, reference.quat, self.placement.place,
-                self._surface, self._ground, self._grid, self._legs,
-                target.angles, target.position, target.quat, target.rise,
-            )  # fmt: skip
+            self._fill(first, last, ids, reference, target, self._ahead, walking=0.0)
+        if self._target is not self._views[0].target:
+            self._fill(first, last, ids, self.reference, self._target, _NOW, walking=1.0)
+
+    def _fill(
+        self,
+        first: int,
+        last: int,
+        ids: np.ndarray,
+        reference: Reference,
+        target: footing.Target,
+        ahead: np.ndarray,
+        walking: float,
+    ) -> None:
+        footing.fill(
+            first, last, ids, self.frame, self._begin, self._end, ahead, self._ratio,
+            reference.qpos, reference.position, reference.quat, reference.steps,
+            self.placement.place, self._surface, self._ground, self._grid, self._legs, walking,
+            target.angles, target.position, target.quat, target.rise,
+        )  # fmt: skip
 
     def _score_chunk(self, first: int, last: int) -> None:
         self._target_chunk(first, last, self._all)

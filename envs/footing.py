@@ -1,10 +1,10 @@
 """The reference on ground that is not level: each foot on the ground below it.
 
 A clip is recorded on a level floor. Where it is played in the world it is lifted by the ground
-under the pelvis; then each foot is moved by the ground below it, turned with it as far as it
-bears on it, and the leg between bends or stretches in the plane it had (the law of cosines). A
-pelvis from which a standing foot could not reach its ground is lowered. On a plane, or level
-ground, nothing changes.
+under the pelvis. A foot that stands is lifted by and turned with the ground where it stands, one
+that swings goes over from one stance to the next (``steps.py``) and above what is in between; the
+leg bends or stretches in the plane it had (the law of cosines). A pelvis from which a standing
+foot could not reach its ground is lowered. On a plane, or level ground, nothing changes.
 """
 
 from __future__ import annotations
@@ -22,8 +22,10 @@ from questsim.motion.clip import FPS
 from questsim.motion.kinematics import link_offsets, sole_points
 from questsim.skeleton import DOFS, LINKS, NUM_DOFS, NUM_LINKS
 
-AIRBORNE_M = 0.1
-"""A foot whose sole is this high above the floor does not heed its ground any more."""
+CLEARANCE_M = 0.01
+"""A foot swings by this much over what is in its way."""
+_LOOKS = 5
+"""In how many moments of a swing it is asked what is in the way."""
 STEEPEST_RAD = 0.4
 """Feet are not turned further than this: an ankle's reach."""
 _STRAIGHT = 0.99
@@ -167,20 +169,35 @@ def _under(place, surface, grid, position, quat, point, scale):
 
 
 @jit
-def _bearing(place, surface, ground, grid, position, quat, soles, scale, lift):
-    """How the ground moves a foot.
+def _middle(position, quat, soles, scale):
+    """Where the middle of a sole is, x and y, on the level floor, and its lowest point's height."""
+    middle_x, middle_y, lowest = 0.0, 0.0, 1e9
+    for k in range(soles.shape[0]):
+        x, y, z = _rotated(quat, soles[k, 0] * scale, soles[k, 1] * scale, soles[k, 2] * scale)
+        middle_x += x / soles.shape[0]
+        middle_y += y / soles.shape[0]
+        lowest = min(lowest, z)
+    return (
+        middle_x + position[0] * scale,
+        middle_y + position[1] * scale,
+        (lowest + position[2] * scale),
+    )
+
+
+@jit
+def _stance(place, surface, grid, position, quat, soles, scale):
+    """How the ground holds a foot that stands.
 
     Args:
         place: of the clip.
-        surface, ground, grid: the terrain, see ``kernels.observe``.
-        position, quat: ``(3,)`` metres and ``(4,)`` of the foot on the level floor.
+        surface, grid: the terrain, see ``fill``.
+        position, quat: ``(3,)`` metres and ``(4,)`` of the foot on the level floor, of the 1.75 m
+            body.
         soles: ``(4, 3)`` points of its sole.
         scale: of body and clip.
-        lift: of the clip, metres.
 
     Returns:
-        Share 0 to 1 by which the foot bears on the ground, the ankle's new x, y and z with the clip
-        not lifted yet, and the turn as a quaternion.
+        How high the ground is, and its slope along x and along y of the clip.
     """
     q = (quat[0], quat[1], quat[2], quat[3])
     ahead_x, ahead_y, _ = _rotated(q, 1.0, 0.0, 0.0)
@@ -188,18 +205,18 @@ def _bearing(place, surface, ground, grid, position, quat, soles, scale, lift):
     if length < 1e-6:
         ahead_x, ahead_y, length = 1.0, 0.0, 1.0
     ahead_x, ahead_y = ahead_x / length, ahead_y / length
+    at = (position[0] * scale, position[1] * scale, position[2] * scale)
     points = (
-        _under(place, surface, grid, position, q, soles[0], scale),
-        _under(place, surface, grid, position, q, soles[1], scale),
-        _under(place, surface, grid, position, q, soles[2], scale),
-        _under(place, surface, grid, position, q, soles[3], scale),
+        _under(place, surface, grid, at, q, soles[0], scale),
+        _under(place, surface, grid, at, q, soles[1], scale),
+        _under(place, surface, grid, at, q, soles[2], scale),
+        _under(place, surface, grid, at, q, soles[3], scale),
     )
-    middle_x, middle_y, lowest, mean, highest = 0.0, 0.0, 1e9, 0.0, -1e9
-    for x, y, z, height in points:
+    middle_x, middle_y, mean = 0.0, 0.0, 0.0
+    for x, y, _, height in points:
         middle_x += 0.25 * x
         middle_y += 0.25 * y
         mean += 0.25 * height
-        lowest, highest = min(lowest, z), max(highest, height)
     # A plane through the ground under the four points, by least squares along and aside.
     along_height, along_square, aside_height, aside_square = 0.0, 0.0, 0.0, 0.0
     for x, y, _, height in points:
@@ -217,22 +234,111 @@ def _bearing(place, surface, ground, grid, position, quat, soles, scale, lift):
         along = (x - middle_x) * ahead_x + (y - middle_y) * ahead_y
         aside = (y - middle_y) * ahead_x - (x - middle_x) * ahead_y
         over = max(over, height - (mean + slope_along * along + slope_aside * aside))
-    share = min(max(1.0 - lowest / (AIRBORNE_M * scale), 0.0), 1.0)
-    share = share * share * (3.0 - 2.0 * share)
-    world_x, world_y = placed(place, middle_x, middle_y)
-    clear = max(ground_at(ground, grid, world_x, world_y), highest)
-    raised = share * (mean + over) + (1.0 - share) * clear - lift
-    # The ground's normal leans against the slope; the foot turns with it.
     lean_x = slope_along * ahead_x - slope_aside * ahead_y
     lean_y = slope_along * ahead_y + slope_aside * ahead_x
+    return mean + over, lean_x, lean_y
+
+
+@jit
+def _smooth(phase):
+    """From 0 to 1, and by how much it rises there."""
+    p = min(max(phase, 0.0), 1.0)
+    return p * p * (3.0 - 2.0 * p), 6.0 * p * (1.0 - p)
+
+
+@jit
+def _obstacle(foot, first, last, from_m, to_m, place, surface, grid, soles, scale, ref):
+    """By how much a swinging foot would be in the ground, if it went from one height to another.
+
+    Args:
+        foot: its link.
+        first, last: rows between which it swings.
+        from_m, to_m: the ground where it stood and where it will.
+        place, surface, grid, soles, scale: as of ``_stance``.
+        ref: places and orientations of the links in all rows.
+    """
+    position, quat = ref
+    most = 0.0
+    for k in range(1, _LOOKS + 1):
+        row = first + k * (last - first) // (_LOOKS + 1)
+        share, _ = _smooth((row - first) / (last - first))
+        q = (quat[row, foot, 0], quat[row, foot, 1], quat[row, foot, 2], quat[row, foot, 3])
+        at = (
+            position[row, foot, 0] * scale, position[row, foot, 1] * scale,
+            position[row, foot, 2] * scale,
+        )  # fmt: skip
+        for point in range(soles.shape[0]):
+            _, _, z, height = _under(place, surface, grid, at, q, soles[point], scale)
+            most = max(most, height - z - from_m - share * (to_m - from_m) + CLEARANCE_M * scale)
+    return most
+
+
+@jit
+def _bearing(
+    leg, row, place, surface, grid, soles, scale, steps, ref, lift, pelvis_rise, walking
+):  # fmt: skip
+    """How the ground moves a foot.
+
+    Args:
+        leg: 0 or 1.
+        row: of the reference.
+        place, surface, grid, soles, scale: as of ``_stance``.
+        steps: ``Steps`` of all rows.
+        ref: places and orientations of the links in all rows.
+        lift: of the clip, metres.
+        pelvis_rise: of the clip, m/s.
+        walking: as of ``fill``.
+
+    Returns:
+        Share 0 to 1 by which the foot bears on the ground; the ankle's new x, y and z with the clip
+        not lifted yet; the turn as a quaternion; the foot's vertical velocity, in m/s, beside the
+        clip's own.
+    """
+    position, quat = ref
+    foot = 3 + 3 * leg
+    before, after = steps.before[row, leg], steps.after[row, leg]
+    height, lean_x, lean_y = _stance(
+        place, surface, grid, position[before, foot], quat[before, foot], soles, scale
+    )
+    share, rise, firm = 1.0, 0.0, max(walking, steps.stays[before, leg])
+    if before != after:
+        first, last = steps.first[row, leg], steps.last[row, leg]
+        phase = (row - first) / (last - first)
+        gone, faster = _smooth(phase)
+        to, to_x, to_y = _stance(
+            place, surface, grid, position[after, foot], quat[after, foot], soles, scale
+        )
+        raised, more = 0.0, 0.0
+        if steps.swings[row, leg]:
+            top = _obstacle(foot, first, last, height, to, place, surface, grid, soles, scale, ref)
+            # Up at once, and down late: what is in the way may be at either end.
+            aside = 2.0 * phase - 1.0
+            raised = top * (1.0 - aside**4)
+            more = -8.0 * top * aside**3
+            share = aside**4
+        rise = FPS * (faster * (to - height) + more) / (last - first)
+        height += gone * (to - height) + raised
+        lean_x += gone * (to_x - lean_x)
+        lean_y += gone * (to_y - lean_y)
+        firm += gone * (max(walking, steps.stays[after, leg]) - firm)
+    share *= firm
+    height = lift + firm * (height - lift)
+    lean_x, lean_y = firm * lean_x, firm * lean_y
+    rise = pelvis_rise + firm * (rise - pelvis_rise)
+    q = (quat[row, foot, 0], quat[row, foot, 1], quat[row, foot, 2], quat[row, foot, 3])
+    middle_x, middle_y, _ = _middle(position[row, foot], q, soles, scale)
+    # The ground's normal leans against the slope; the foot turns with it.
     steepness = math.sqrt(lean_x * lean_x + lean_y * lean_y)
     turn = (1.0, 0.0, 0.0, 0.0)
     if steepness > 1e-9:
-        angle = share * min(math.atan(steepness), STEEPEST_RAD)
+        angle = min(math.atan(steepness), STEEPEST_RAD)
         s = math.sin(0.5 * angle) / steepness
         turn = (math.cos(0.5 * angle), s * lean_y, -s * lean_x, 0.0)
-    x, y, z = _rotated(turn, position[0] - middle_x, position[1] - middle_y, position[2])
-    return share, middle_x + x, middle_y + y, raised + z, turn
+    x, y, z = _rotated(
+        turn, position[row, foot, 0] * scale - middle_x, position[row, foot, 1] * scale - middle_y,
+        position[row, foot, 2] * scale,
+    )  # fmt: skip
+    return share, middle_x + x, middle_y + y, height + z - lift, turn, rise
 
 
 @jit
@@ -325,11 +431,18 @@ def _bend(leg, legs, scale, pelvis, hip, ankle, before, turn, foot, angles, posi
 
 
 @jit
-def _on_feet(place, surface, ground, grid, legs, scale, lift, rise, angles, position, quat, rises):
+def _on_feet(
+    row, place, surface, grid, legs, scale, lift, rise, walking, steps, ref, angles, position,
+    quat, rises,
+):  # fmt: skip
     """Put the feet of a pose, still at its clip's own place, on the ground."""
     pelvis = (quat[0, 0], quat[0, 1], quat[0, 2], quat[0, 3])
-    left = _bearing(place, surface, ground, grid, position[3], quat[3], legs.soles[0], scale, lift)
-    right = _bearing(place, surface, ground, grid, position[6], quat[6], legs.soles[1], scale, lift)
+    left = _bearing(
+        0, row, place, surface, grid, legs.soles[0], scale, steps, ref, lift, rise, walking
+    )
+    right = _bearing(
+        1, row, place, surface, grid, legs.soles[1], scale, steps, ref, lift, rise, walking
+    )
     straight = _STRAIGHT * scale * (legs.length[0] + legs.length[1])
     drop = 0.0
     for leg in range(2):
@@ -343,21 +456,21 @@ def _on_feet(place, surface, ground, grid, legs, scale, lift, rise, angles, posi
         position[link, 2] -= drop
         rises[link] = rise
     for leg in range(2):
-        share, ankle_x, ankle_y, ankle_z, turn = left if leg == 0 else right
+        _, ankle_x, ankle_y, ankle_z, turn, own = left if leg == 0 else right
         hip, link = _hip(leg, legs, scale, pelvis, position[0]), 3 + 3 * leg
         before = _distance(position[link], hip)
         foot = (quat[link, 0], quat[link, 1], quat[link, 2], quat[link, 3])
         ankle = (ankle_x, ankle_y, ankle_z)
         _bend(leg, legs, scale, pelvis, hip, ankle, before, turn, foot, angles, position, quat)
-        # A foot that bears on the ground does not rise with the pelvis.
-        rises[link] = (1.0 - share) * rise
-        rises[link - 1] = (1.0 - 0.5 * share) * rise
+        # A foot rises by itself, not with the pelvis.
+        rises[link] = own
+        rises[link - 1] = 0.5 * (own + rise)
 
 
 @jit
 def fill(
-    first, last, ids, frame, begin, end, offsets, ratio, ref_qpos, ref_position, ref_quat,
-    place, surface, ground, grid, legs, angles, position, quat, rises,
+    first, last, ids, frame, begin, end, offsets, ratio, ref_qpos, ref_position, ref_quat, steps,
+    place, surface, ground, grid, legs, walking, angles, position, quat, rises,
 ):  # fmt: skip
     """Fill a ``Target`` of ``ids[first:last]``.
 
@@ -365,11 +478,15 @@ def fill(
         first, last, ids, frame, begin, end, ratio, ref_*, place, ground, grid: as of
             ``kernels.observe``.
         offsets: ``(k,)`` frames ahead.
+        steps: ``Steps`` of the reference; empty ones will do on a plane.
         surface: ``(rows, columns)`` height of what collides, on the grid of ``ground``.
         legs: of the 1.75 m body.
+        walking: 0 to 1, whether feet of who walks are put on the ground as well, or only those of
+            who stands.
         angles, position, quat, rises: the target's fields.
     """
     level = ground.size == 1
+    ref = (ref_position, ref_quat)
     for index in range(first, last):
         i = ids[index]
         scale = ratio[i]
@@ -384,14 +501,14 @@ def fill(
                     position[i, k, b, axis] = ref_position[row, b, axis] * scale
                 for axis in range(4):
                     quat[i, k, b, axis] = ref_quat[row, b, axis]
-            lift = 0.0
+            lift, rise = 0.0, 0.0
             if not level:
                 x, y = placed(place[i], ref_qpos[row, 0] * scale, ref_qpos[row, 1] * scale)
                 lift = ground_at(ground, grid, x, y)
                 x, y = placed(place[i], ref_qpos[before, 0] * scale, ref_qpos[before, 1] * scale)
                 rise = FPS * (lift - ground_at(ground, grid, x, y))
                 _on_feet(
-                    place[i], surface, ground, grid, legs, scale, lift, rise,
+                    row, place[i], surface, grid, legs, scale, lift, rise, walking, steps, ref,
                     angles[i, k], position[i, k], quat[i, k], rises[i, k],
                 )  # fmt: skip
             for b in range(position.shape[2]):

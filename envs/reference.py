@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from envs.config import EnvConfig
+from envs.steps import Steps, steps_of
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
@@ -28,6 +29,7 @@ class Reference:
         position, quat, velocity, angular_velocity: ``(F, 16, ...)``.
         torque: ``(F, 33)`` what the motion takes, as shares of the joints' limits; ``(0, 33)``
             unless the config is privileged.
+        steps: when each foot stands; of no frames on a plane, where nobody asks.
         dev_position, dev_quat: ``(F, D, ...)`` poses of the devices the policy sees.
     """
 
@@ -43,6 +45,7 @@ class Reference:
     velocity: np.ndarray
     angular_velocity: np.ndarray
     torque: np.ndarray
+    steps: Steps
     dev_position: np.ndarray
     dev_quat: np.ndarray
 
@@ -88,6 +91,7 @@ class Reference:
                 if config.privileged
                 else np.zeros((0, NUM_DOFS), np.float32)
             ),
+            steps=steps_of(common if config.terrain is not None else ()),
             dev_position=rows([position for position, _ in devices]),
             dev_quat=rows([quat for _, quat in devices]),
         )

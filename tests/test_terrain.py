@@ -14,22 +14,22 @@ from helpers import swaying_clip
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from envs import BatchSim, EnvConfig, QuestVecEnv, Terrain, terrain_named
-from envs.footed_clip import footed_clip
 from envs.gym import ENVIRONMENTS
 from envs.layout import SCAN_POINTS
+from envs.placement import moved, turn_quat
 from envs.terrain import TERRAINS, height_field, tile_centre
 from questsim import reward
 from questsim import rotations as rot
 from questsim.body import build_body, scaled_spec
 from questsim.errors import InputError
-from questsim.heightfield import HeightField
 from questsim.motion.clip import FPS, Clip
-from questsim.motion.kinematics import clip_from_qpos, sole_positions
+from questsim.motion.kinematics import clip_from_qpos
 from questsim.motion.spec import load_motions
-from questsim.skeleton import DOFS, FOOT_LINKS, LINKS
 
 CLIPS = [swaying_clip("a", 1.75), swaying_clip("b", 1.6, frames=50)]
 HILLS = Terrain("waves", amplitude_m=0.2, wavelength_m=3.0, size_m=16.0)
+
+STANDING = load_motions("synthetic:stand")[0]
 
 
 def gliding_clip(speed: float = 1.2, heading: float = 0.0, frames: int = 72) -> Clip:
@@ -182,17 +182,29 @@ def test_error_and_reward_are_against_the_placed_and_lifted_clip(heights) -> Non
         assert sim.reward_terms[i, 3] == pytest.approx(term[0], abs=1e-4)
 
 
-def test_a_teacher_sees_the_lifted_reference() -> None:
-    clips = [gliding_clip(heading=-1.0)]
-    sim = BatchSim(clips, EnvConfig(fixed_start=True, terrain=HILLS, privileged=True))
-    sim.reset()
-    placed = sim.placed_clip(0, clips[0])
+def seen_links(sim: BatchSim) -> tuple[np.ndarray, np.ndarray]:
+    """Places in S and columns that a teacher sees of the links in the next frame."""
     seen = sim.observation[0, sim.layout["privileged"]][66:]
+    return seen[:48].reshape(16, 3), seen[48:144].reshape(16, 6)
+
+
+@pytest.mark.parametrize("clip", [gliding_clip(heading=-1.0), STANDING], ids=["moves", "stands"])
+def test_a_teacher_sees_the_lifted_reference_and_feet_on_the_ground_of_who_stands(clip) -> None:
+    sim = BatchSim([clip], EnvConfig(fixed_start=True, terrain=HILLS, privileged=True))
+    sim.reset()
+    footed = sim.placed_clip(0, clip)
+    field, place = sim.placement.field, sim.placement.place[0]
+    position = moved(place[None], clip.link_position[1])
+    position[:, 2] += field.ground_at(position[:1, :2])
+    wanted = footed.link_position[1] if clip is STANDING else position
+    assert np.abs(footed.link_position[1] - position).max() > 0.01
     to_s = rot.quat_conjugate(rot.yaw_quat(rot.heading(sim.qpos[0, 3:7])))
-    offset = rot.quat_rotate(to_s, placed.link_position[1] - sim.link_positions[0])
-    np.testing.assert_allclose(seen[:48].reshape(16, 3), offset, atol=1e-4)
-    columns = rot.quat_to_6d(rot.quat_multiply(to_s, placed.link_quat[1]))
-    np.testing.assert_allclose(seen[48:144].reshape(16, 6), columns, atol=1e-4)
+    places, columns = seen_links(sim)
+    offset = rot.quat_rotate(to_s, wanted - sim.link_positions[0])
+    np.testing.assert_allclose(places, offset, atol=1e-4)
+    turned = rot.quat_multiply(turn_quat(place[None]), clip.link_quat[1])
+    turned = footed.link_quat[1] if clip is STANDING else turned
+    np.testing.assert_allclose(columns, rot.quat_to_6d(rot.quat_multiply(to_s, turned)), atol=1e-4)
 
 
 def test_an_episode_begins_with_no_sole_in_the_ground() -> None:
@@ -318,60 +330,6 @@ def test_feet_feel_the_ground() -> None:
         upward.append(sim.contact_force[0, :, 2].sum())
     weight = 9.81 * sim.body.model.body_mass.sum()
     assert np.mean(upward[4:]) == pytest.approx(weight, rel=0.35)
-
-
-def test_a_footed_clip_keeps_the_bodys_lengths_and_its_upper_body() -> None:
-    clip = gliding_clip()
-    field = HeightField.of(np.fromfunction(lambda row, column: 0.1 * column, (30, 30)), 0.5)
-    place = np.array([0.5, -0.3, np.cos(0.4), np.sin(0.4)])
-    footed = footed_clip(clip, place, field)
-    again = clip_from_qpos("again", footed.qpos, clip.height_m)
-    np.testing.assert_allclose(again.link_position, footed.link_position, atol=1e-9)
-    upper = DOFS.index("spine_y")
-    np.testing.assert_allclose(footed.qpos[:, 7 + upper :], clip.qpos[:, 7 + upper :])
-    moved = np.diff(footed.link_position[:, LINKS.index("head")], axis=0) * FPS
-    np.testing.assert_allclose(
-        footed.link_velocity[1:-1, LINKS.index("head")], moved[:-1], atol=0.05
-    )
-
-
-@pytest.mark.parametrize("amplitude", [0.04, 0.08])
-def test_feet_that_stand_in_a_clip_stand_on_the_ground_in_the_world(amplitude: float) -> None:
-    clip = CLIPS[0]
-    field = height_field(Terrain("rough", amplitude_m=amplitude))
-    feet = list(FOOT_LINKS)
-
-    def soles(of: Clip) -> np.ndarray:
-        return sole_positions(of.link_position[:, feet], of.link_quat[:, feet], clip.height_m)
-
-    standing = soles(clip)[..., 2].min(axis=-1) < 0.01
-    assert standing.mean() > 0.3
-    for place in ((2.0, 1.0), (-3.0, 4.0), (0.3, -7.0)):
-        footed = soles(footed_clip(clip, np.array([*place, np.cos(1.0), np.sin(1.0)]), field))
-        above = (footed[..., 2] - field.height_at(footed)).min(axis=-1)
-        assert np.abs(above[standing]).max() < 0.015
-
-
-def test_on_level_ground_a_footed_clip_is_the_clip() -> None:
-    field = HeightField.of(np.full((20, 20), 0.3), 0.5)
-    footed = footed_clip(CLIPS[0], np.array([0.0, 0.0, 1.0, 0.0]), field)
-    np.testing.assert_allclose(footed.qpos[:, 7:], CLIPS[0].qpos[:, 7:], atol=1e-6)
-    lifted = CLIPS[0].link_position + np.array([0.0, 0.0, 0.3])
-    np.testing.assert_allclose(footed.link_position, lifted, atol=1e-6)
-
-
-def test_a_foot_stands_on_a_slope_as_on_a_plane() -> None:
-    """With capsules alone soles sank in by a centimetre, and feet crept."""
-    terrain = Terrain("slope", direction="across")
-    config = EnvConfig(fixed_start=True, privileged=True, terrain=terrain)
-    clip = next(clip for clip in load_motions("synthetic:stand"))
-    sim = BatchSim([clip], config)
-    sim.reset()
-    gain = 4.0 * sim.body.damping / 0.08 / sim.body.torque_limits
-    columns = sim.layout["midway_joint_angles"]
-    for _ in range(15):
-        sim.step(gain * (sim.observation[:, columns] - sim.joint_angles))
-        assert sim.foot_clearance.min() > -0.006
 
 
 @pytest.mark.parametrize(
