@@ -188,7 +188,7 @@ def terrain_named(text: str, where: str = "terrain") -> Terrain:
 # Down here because its tiles are terrains with options: the worlds table's, and milder ones.
 TERRAINS["mixed"] = Terrain(
     COURSE,
-    tiles=("rough:amplitude_m=0.08", "slope:slope_deg=8"),
+    tiles=("rough:amplitude_m=0.08", "rough:amplitude_m=0.08", "slope:slope_deg=8"),
     tile_m=16.0,
     spread_m=7.0,
     flat_share=0.4,

@@ -194,6 +194,7 @@ def test_a_teacher_sees_the_lifted_reference_and_feet_on_the_ground_of_who_stand
     sim.reset()
     footed = sim.placed_clip(0, clip)
     field, place = sim.placement.field, sim.placement.place[0]
+    assert field is not None
     position = moved(place[None], clip.link_position[1])
     position[:, 2] += field.ground_at(position[:1, :2])
     wanted = footed.link_position[1] if clip is STANDING else position

@@ -1,11 +1,12 @@
-"""Physics behind a kinematic system: the avatar follows its poses by the tracker's torques.
+"""Physics behind a kinematic system: the avatar follows its poses by a tracker's torques.
 
-The poses are retargeted to the avatar of the user's stature and become the reference of the
-shipped ``tracker``; what comes out is compared with what the user did. The tracker reads five
-frames ahead, and velocities there take one more: the avatar shows the pose of ``LATENCY_FRAMES``
-ago, as QuestSim does that reads as many frames of the devices. Nothing later than that is used
-but two constants of each clip, the heights of the floor and of the ankle, which a calibration
-would tell.
+The poses are retargeted to the avatar of the user's stature and are what the shipped
+``estimate-tracker`` is shown as the reference; it has learnt to do what the user does all the same
+(``train.py --estimates``). The avatar begins in the user's first state, as in every episode, and
+what it does is compared with what the user did. The tracker reads five frames ahead, and
+velocities there take one more: the avatar shows the pose of ``LATENCY_FRAMES`` ago, as QuestSim
+does that reads as many frames of the devices. Nothing later than that is used but two constants of
+each clip, the heights of the floor and of the ankle, which a calibration would tell.
 """
 
 from __future__ import annotations
@@ -13,13 +14,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 
 from agents.agent import load_agent
 from agents.evaluation import env_config, roll_out
 from agents.kinematic.interface import Poses
-from questsim.body import build_body
 from questsim.metrics import Rollout
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.kinematics import clip_from_qpos
@@ -31,14 +30,8 @@ from questsim.root_force import root_force
 
 SUFFIX = "+physics"
 """After a system's name: that system with physics behind it."""
-TRACKER = "tracker"
+TRACKER = "estimate-tracker"
 LATENCY_FRAMES = 6
-BEGINNING_FRAMES = 6
-"""From the user's first state to the estimates: as far as the tracker looks ahead, 167 ms.
-
-Of 60 clips of HMD-Poser 80 % were followed without, 95 % with 6, 90 % with 12, 80 % with 20:
-carried on for longer, the first velocity leads astray.
-"""
 _FEWEST = 4
 """Frames that jitter and accelerations take."""
 
@@ -82,38 +75,7 @@ def follow_poses(
         threads: of the physics.
     """
     tracker, truths = load_agent(TRACKER), [to_clip(motion) for motion in motions]
-    begun = [begun_as(clip, truth) for clip, truth in zip(references, truths, strict=True)]
-    rollouts = roll_out(tracker, begun, env_config(tracker), threads)
-    return [
-        replace(rollout, reference=truth) for rollout, truth in zip(rollouts, truths, strict=True)
-    ]
-
-
-def begun_as(estimate: Clip, truth: Clip) -> Clip:
-    """An estimate that begins in the user's own state, as an episode does for every agent.
-
-    What a system makes of its first frames, without a past, is off and moves fast towards what it
-    makes of the next ones: an avatar that starts with such a velocity falls. So the reference goes
-    over, within ``BEGINNING_FRAMES``, from the user's first pose, carried on at its velocity, to
-    the estimate. Of the user nothing but that first state is used.
-
-    Args:
-        estimate: to be followed.
-        truth: what the user did.
-    """
-    count = min(BEGINNING_FRAMES, len(estimate))
-    model = build_body(estimate.height_m).model
-    qpos = estimate.qpos.copy()
-    for frame in range(count):
-        carried = truth.qpos[0].copy()
-        mujoco.mj_integratePos(model, carried, truth.qvel[0], frame / FPS)
-        share = frame / BEGINNING_FRAMES
-        if carried[3:7] @ qpos[frame, 3:7] < 0:
-            carried[3:7] *= -1.0
-        qpos[frame] = (1 - share) * carried + share * qpos[frame]
-        qpos[frame, 3:7] /= np.linalg.norm(qpos[frame, 3:7])
-    about = {"kind": estimate.kind, "style": estimate.style}
-    return clip_from_qpos(estimate.name, qpos, estimate.height_m, **about)
+    return roll_out(tracker, truths, env_config(tracker), threads, shown=references)
 
 
 def performed(rollout: Rollout) -> Clip:

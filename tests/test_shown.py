@@ -1,0 +1,145 @@
+"""Agents that are shown an estimate in place of what the user did."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from helpers import swaying_clip
+
+from agents import training
+from agents.agent import Tracker, load_agent
+from agents.dagger import Dagger
+from agents.provenance import commands, stages_behind
+from agents.training import TrainArgs, train
+from envs import BatchSim, EnvConfig, QuestVecEnv, Terrain
+from questsim.errors import InputError
+from questsim.motion.clip import Clip
+from questsim.motion.kinematics import clip_from_qpos
+from questsim.motion.library import save_library
+from questsim.motion.retarget_back import to_motion
+
+CLIPS = [swaying_clip("a", 1.75), swaying_clip("b", 1.6, frames=50)]
+PRIVILEGED = EnvConfig(privileged=True, fixed_start=True)
+
+
+def estimate_of(clip: Clip, off_rad: float = 0.2, name: str | None = None) -> Clip:
+    qpos = clip.qpos.copy()
+    qpos[:, 7:] += off_rad
+    qpos[:, 0] += 0.05
+    return clip_from_qpos(name or f"{clip.name}@somebody", qpos, clip.height_m, kind=clip.kind)
+
+
+SHOWN = [estimate_of(clip) for clip in CLIPS]
+
+
+@pytest.mark.parametrize("terrain", [None, Terrain("waves", size_m=24.0)])
+def test_an_agent_sees_what_is_shown_and_is_held_against_what_was_done(terrain) -> None:
+    config = replace(PRIVILEGED, terrain=terrain)
+    shown = BatchSim(CLIPS, config, shown=SHOWN)
+    plain, other = BatchSim(CLIPS, config), BatchSim(SHOWN, config)
+    for sim in (shown, plain, other):
+        sim.reset()
+    np.testing.assert_array_equal(shown.qpos, plain.qpos)
+    for _ in range(5):
+        np.testing.assert_array_equal(shown.true_observation, plain.observation)
+        action = np.full((2, 33), 0.1)
+        shown.step(action)
+        plain.step(action)
+    np.testing.assert_array_equal(shown.error, plain.error)
+    np.testing.assert_array_equal(shown.reward, plain.reward)
+    np.testing.assert_array_equal(plain.true_observation, plain.observation)
+    for name in ("reference_joint_angles", "midway_joint_angles", "reference_torques"):
+        assert not np.allclose(
+            shown.observation[:, shown.layout[name]], plain.observation[:, plain.layout[name]]
+        )
+    for name in ("joint_angles", "joint_velocities", "link_positions", "contact_forces"):
+        np.testing.assert_array_equal(
+            shown.observation[:, shown.layout[name]], plain.observation[:, plain.layout[name]]
+        )
+    for _ in range(5):
+        other.step(np.full((2, 33), 0.1))
+    angles = shown.layout["reference_joint_angles"]
+    if terrain is None:  # there the pose decides how the legs stand on the ground
+        np.testing.assert_allclose(shown.observation[:, angles], other.observation[:, angles])
+
+
+def test_what_is_shown_must_be_of_these_clips() -> None:
+    with pytest.raises(InputError, match="1 clips to show for 2"):
+        BatchSim(CLIPS, PRIVILEGED, shown=SHOWN[:1])
+    with pytest.raises(InputError, match=r"a: 50 frames of 1.600 m are shown for \d+ of 1.750 m"):
+        BatchSim(CLIPS, PRIVILEGED, shown=SHOWN[::-1])
+
+
+@pytest.fixture
+def library(tmp_path: Path, monkeypatch) -> Path:
+    monkeypatch.setattr(training, "load_clips", lambda args: CLIPS)
+    path = tmp_path / "estimates.npz"
+    save_library(path, [to_motion(clip) for clip in SHOWN], SHOWN)
+    return path
+
+
+def tiny(out: Path, **options) -> TrainArgs:
+    return TrainArgs(
+        **({"out": out, "preset": "smoke", "steps": 128, "envs": 8, "threads": 1} | options)
+    )
+
+
+def test_a_student_learns_to_follow_estimates_from_who_sees_the_truth(
+    library, tmp_path, monkeypatch
+) -> None:
+    assert train(tiny(tmp_path / "teacher", stage="teacher")) == 0
+    labelled: list[tuple[torch.Tensor, torch.Tensor]] = []
+    mean = training.make_learner
+
+    def watched(*args):
+        learner = mean(*args)
+        assert isinstance(learner, Dagger) and isinstance(learner.env, QuestVecEnv)
+        env = learner.env
+        teacher = learner.teacher.action_mean
+        monkeypatch.setattr(
+            learner.teacher,
+            "action_mean",
+            lambda obs: labelled.append((obs, env.true_observation)) or teacher(obs),
+        )
+        return learner
+
+    monkeypatch.setattr(training, "make_learner", watched)
+    out = tmp_path / "student"
+    args = tiny(out, stage="student", teacher=tmp_path / "teacher", estimates=str(library))
+    assert train(args) == 0
+    assert labelled and all(np.shares_memory(seen.numpy(), truth) for seen, truth in labelled)
+    agent = load_agent(str(out))
+    assert isinstance(agent, Tracker) and agent.needs.privileged
+    record = yaml.safe_load((out / "run.yaml").read_text())
+    assert record["args"]["estimates"] == str(library) and record["data"]["clips"] == 4
+    assert train(replace(args, steps=256, resume=True)) == 0
+    again = commands(stages_behind(out / "student" / "last"))
+    assert any("--estimates" in line and "--stage student" in line for line in again)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"stage": "teacher"}, "--estimates: are for students, not for teacher"),
+        ({"mirrored": True}, "--estimates: are not mirrored"),
+    ],
+)
+def test_who_has_no_use_for_estimates_is_told(options, message, library, tmp_path) -> None:
+    options = {"stage": "student", "teacher": Path("tracker")} | options
+    with pytest.raises(InputError, match=message):
+        train(tiny(tmp_path / "run", estimates=str(library), **options))
+    assert not (tmp_path / "run").exists()
+
+
+def test_estimates_of_other_motions_are_refused(library, tmp_path) -> None:
+    other = tmp_path / "other.npz"
+    strange = [estimate_of(CLIPS[0], name="zzz@somebody")]
+    save_library(other, [to_motion(clip) for clip in strange], strange)
+    with pytest.raises(InputError, match=r"other.npz: 'zzz@somebody' is an estimate of none"):
+        train(tiny(tmp_path / "run", stage="student", estimates=str(other)))
+    assert not (tmp_path / "run").exists()
