@@ -27,10 +27,10 @@ from agents.comparison_run import (
 )
 from agents.comparison_scenarios import Scenario
 from agents.kinematic.data import motions_record
-from agents.kinematic.physics import SUFFIX, base_of
+from agents.kinematic.physics import base_of
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import UNTRAINED, find_system, read_system_card
-from agents.names import shipped_policies
+from agents.names import PHYSICS, shipped_policies
 from agents.run_folder import versions
 from questsim.errors import InputError, at_least
 from questsim.files import whole_file
@@ -142,7 +142,7 @@ def everyone() -> list[str]:
         for name in shipped_policies()
         if name != "demo" and not load_agent(name).needs.privileged
     ]
-    return [*systems, *(name + SUFFIX for name in systems), *apart]
+    return [*systems, *(name + PHYSICS for name in systems), *apart]
 
 
 def representative(agents: Iterable[str]) -> list[str]:
@@ -150,7 +150,7 @@ def representative(agents: Iterable[str]) -> list[str]:
     return [
         agent
         for agent in agents
-        if agent in ("hmdposer" + SUFFIX, "questsim")
+        if agent in ("hmdposer" + PHYSICS, "questsim")
         or not (is_policy(agent) or base_of(agent) is not None)
     ]
 

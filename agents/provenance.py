@@ -291,7 +291,7 @@ def options_of(args: Mapping[str, Any]) -> list[str]:
             for inner, number in value.items():
                 if number != default[inner]:
                     words += _words(f"{name}.{inner}", number)
-        elif name == "motions":
+        elif name in ("motions", "estimates") and value is not None:
             words += _words(name, portable(value))
         elif value != default or name == "preset":
             words += _words(name, value)

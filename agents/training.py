@@ -84,7 +84,8 @@ class TrainArgs:
     kinematic --agent, a system of that agent and these sizes."""
     estimates: str | None = None
     """Libraries of questsim estimate, joined by commas, of --motions: with --stage student what
-    learns is a tracker that is shown these while its teacher sees what the users did."""
+    learns is a tracker that is shown these, and what they are of, while its teacher sees what the
+    users did."""
     sensors: str = "H+2C"
     """What the policy sees of the user."""
     future_frames: int = 6
@@ -140,7 +141,7 @@ def train(args: TrainArgs) -> int:
         data = data_record(args.motions, clips)
     else:
         clips = [truth for truth, _ in shown.values()]
-        data = data_record(args.motions, [clip for pair in shown.values() for clip in pair])
+        data = data_record(args.motions, [seen for _, seen in shown.values()])
     if args.resume:
         check_same_run(read_run(args.out), args, data, MAY_DIFFER_ON_RESUME, args.out)
 
@@ -205,7 +206,7 @@ def load_clips(args: TrainArgs) -> list[Clip]:
 
 
 def _estimates(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
-    """Of each estimate what the user did, under the estimate's name, and the estimate itself.
+    """By name what the user did and what is shown of it: each estimate, and once the truth.
 
     Raises:
         InputError: the stage has no use for estimates, or they are not of these clips.
@@ -232,6 +233,7 @@ def _estimates(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
         while name in pairs:  # of the same system, from other devices
             name, again = f"{estimate.name} {again}", again + 1
         pairs[name] = replace(known[user], name=name), estimate
+        pairs[user] = known[user], known[user]  # what is estimated well is to be followed as well
     return pairs
 
 

@@ -253,17 +253,30 @@ def test_systems_are_listed_beside_policies_and_loaded_when_they_are_chosen():
     code = (
         "import sys; from agents.live.commands import available_drivers;"
         "names = list(available_drivers(lambda name: None));"
-        "assert {'hmdposer', 'lgsik', 'sparseposer', 'dragposer', 'ik', 'questsim'} <= {*names};"
+        "assert {'hmdposer', 'lgsik', 'sparseposer', 'dragposer', 'ik', 'ik+physics'} <= {*names};"
         "sys.exit('agents.kinematic' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], check=False, cwd=Path(__file__).parents[1])
     assert done.returncode == 0
 
 
-def test_physics_behind_a_system_is_refused_in_one_line():
-    with pytest.raises(InputError, match=r"^hmdposer\+physics: ") as error:
-        load_driver("hmdposer+physics", USERS)
-    assert "\n" not in str(error.value)
+def test_physics_behind_a_system_moves_the_avatar_by_torques_after_its_poses():
+    name = "hmdposer+physics"
+    drivers = {name: lambda: load_driver(name, USERS), "zero": lambda: load_driver("zero", USERS)}
+    live = DemoSession(CLIPS, drivers, Settings("second", name, "H+2C+3IMU"))
+    assert "H+2C+2IMU" in live.choices.sensors and "6T" not in live.choices.sensors
+    shown = advance(live, 15)
+    assert shown.outcome == "" and shown.physics and shown.contact_force.any()
+    assert 0.0 < shown.error_m < 0.15
+    live.push(200.0, 90.0)
+    assert advance(live, 1).push_n.any()
+    seen = live._sim.observation[0].copy()
+    assert not np.allclose(seen, live._sim.true_observation[0])
+    live.change(height_m=1.5)
+    shown = advance(live, 10)
+    assert shown.outcome == "" and 0.0 < shown.error_m < 0.15
+    with pytest.raises(InputError, match="nobody: is no kinematic system"):
+        load_driver("nobody+physics", USERS)
 
 
 def test_recordings_that_came_from_files_are_loaded_once(monkeypatch):

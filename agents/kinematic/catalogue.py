@@ -8,11 +8,11 @@ from typing import Any
 
 from agents.checkpoint import SHIPPED, read_card
 from agents.kinematic.ik import DEVICES as IK_DEVICES
-from agents.kinematic.physics import SUFFIX, TRACKER
+from agents.kinematic.physics import TRACKER
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import CARD_FILE, read_system_card
 from agents.licence import OURS, licence_of, strictest
-from agents.names import shipped_policies
+from agents.names import PHYSICS, shipped_policies
 
 KEYS = ("agent", "preset", "title", "sensors", "parameters", "licence", "weights")
 
@@ -79,7 +79,7 @@ def _with_physics(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [
         {
             **entry,
-            "agent": entry["agent"] + SUFFIX,
+            "agent": entry["agent"] + PHYSICS,
             "title": f"{entry['title']}, followed by the tracker's torques",
             "parameters": entry["parameters"] + behind,
             "licence": strictest([entry["licence"], licence]),

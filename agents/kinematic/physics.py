@@ -19,6 +19,7 @@ import numpy as np
 from agents.agent import load_agent
 from agents.evaluation import env_config, roll_out
 from agents.kinematic.interface import Poses
+from agents.names import PHYSICS
 from questsim.metrics import Rollout
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.kinematics import clip_from_qpos
@@ -28,8 +29,6 @@ from questsim.motion.retarget_back import to_motion
 from questsim.pose_metrics import ENDS, HEAD, pose_samples
 from questsim.root_force import root_force
 
-SUFFIX = "+physics"
-"""After a system's name: that system with physics behind it."""
 TRACKER = "estimate-tracker"
 LATENCY_FRAMES = 6
 _FEWEST = 4
@@ -37,8 +36,8 @@ _FEWEST = 4
 
 
 def base_of(agent: str) -> str | None:
-    """The kinematic system of a name that ends with ``SUFFIX``; None for other names."""
-    return agent.removesuffix(SUFFIX) if agent.endswith(SUFFIX) else None
+    """The kinematic system of a name that ends with ``PHYSICS``; None for other names."""
+    return agent.removesuffix(PHYSICS) if agent.endswith(PHYSICS) else None
 
 
 def on_own_body(poses: Poses, motion: Motion) -> Motion:

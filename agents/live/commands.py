@@ -20,7 +20,7 @@ from agents.live.session import DemoSession
 from agents.live.surroundings import NOTHING, needed_thing
 from agents.live.users import Recordings
 from agents.live.watcher import Checkpoint, Watcher, first_checkpoint, load_checkpoint
-from agents.names import kinematic_systems, shipped_policies
+from agents.names import kinematic_systems, shipped_policies, with_physics
 from agents.rolling import choose_clips
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError, at_least
@@ -199,7 +199,13 @@ def available_drivers(
         recording: see ``load_driver``.
         first: one more agent, if it is not among them.
     """
-    names = [*([first] if first else []), *shipped_policies(), *kinematic_systems(), *BASELINES]
+    names = [
+        *([first] if first else []),
+        *shipped_policies(),
+        *kinematic_systems(),
+        *with_physics(),
+    ]
+    names += BASELINES
     return {name: partial(load_driver, name, recording) for name in names}
 
 

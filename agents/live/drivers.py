@@ -12,6 +12,7 @@ from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.layout import observation_layout
 from questsim.errors import InputError
+from questsim.motion.clip import Clip
 from questsim.motion.motion import Motion
 from questsim.sensors import DEVICES, SENSOR_SETS
 
@@ -39,6 +40,10 @@ class Driver(Protocol):
 
     def config(self, sensors: str, height_m: float | None = None) -> EnvConfig:
         """The environment that it needs, with these sensors and all avatars of one height."""
+        ...
+
+    def shown(self, clip: Clip, sensors: str) -> list[Clip] | None:
+        """What it sees in place of a clip, see ``BatchSim``; None for the clip itself."""
         ...
 
     def bind(self, sim: BatchSim, sensors: str) -> None:
@@ -101,6 +106,10 @@ class TorqueDriver:
             fixed_start=True,
         )
 
+    def shown(self, clip: Clip, sensors: str) -> list[Clip] | None:
+        """Nothing in place of the clip."""
+        return None
+
     def bind(self, sim: BatchSim, sensors: str) -> None:
         """Find what the agent reads in the simulation's observation; see ``Agent.bind``."""
         self.agent.bind(sim)
@@ -118,7 +127,7 @@ def load_driver(name: str, recording: Callable[[str], Motion]) -> Driver:
     """What an agent's name, checkpoint folder or run folder means.
 
     Args:
-        name: of a policy, a baseline or a kinematic system.
+        name: of a policy, a baseline or a kinematic system, perhaps with physics behind it.
         recording: by a clip's name, its user's motion; asked for by kinematic systems alone.
 
     Raises:
@@ -127,16 +136,14 @@ def load_driver(name: str, recording: Callable[[str], Motion]) -> Driver:
     if name in BASELINES or name in shipped_policies():
         return TorqueDriver(load_agent(name))
     # Not at the top: all systems are imported with these, and the page is not to wait for them.
-    from agents.kinematic.physics import base_of
+    from agents.kinematic.physics import TRACKER, base_of
     from agents.kinematic.store import UNTRAINED, find_system, load_system
+    from agents.live.physics import PhysicsDriver
     from agents.live.poses import PoseDriver
 
-    if base_of(name) is not None:
-        raise InputError(
-            "the page has no physics behind systems",
-            name,
-            f"watch {base_of(name)}, or use evaluate.py --video",
-        )
+    base = base_of(name)
+    if base is not None:
+        return PhysicsDriver(load_system(base), load_agent(TRACKER), recording)
     if name in UNTRAINED or find_system(name) is not None:
         return PoseDriver(load_system(name), recording)
     return TorqueDriver(load_agent(name))

@@ -16,12 +16,12 @@ from envs.placement import moved, turn_quat
 from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.joint_sensors import SENSOR_FPS, readings
-from questsim.motion.clip import FPS
+from questsim.motion.clip import FPS, Clip
 from questsim.motion.motion import Motion
 from questsim.motion.retarget_stream import StreamRetargeter
 from questsim.sensors import SENSOR_SETS
 
-_LEFT_OPEN = "H"
+LEFT_OPEN = "H"
 """The simulation's own sensors, which nobody reads here; IMUs it would not show."""
 
 
@@ -59,7 +59,11 @@ class PoseDriver:
     def config(self, sensors: str, height_m: float | None = None) -> EnvConfig:
         """The environment: of what it observes nothing is read."""
         heights = None if height_m is None else (height_m, height_m)
-        return EnvConfig(sensors=_LEFT_OPEN, future_frames=0, heights=heights, fixed_start=True)
+        return EnvConfig(sensors=LEFT_OPEN, future_frames=0, heights=heights, fixed_start=True)
+
+    def shown(self, clip: Clip, sensors: str) -> list[Clip] | None:
+        """Nothing in place of the clip: it is not looked at."""
+        return None
 
     def bind(self, sim: BatchSim, sensors: str) -> None:
         """Prepare what the devices report of the clip's user, who is as tall as the avatar."""

@@ -339,7 +339,9 @@ class DemoSession:
         self._check(settings)
         driver = self._driver(settings.agent)
         config = config_of(driver, settings)
-        sim = BatchSim([self._clips[settings.clip]], config, 1, num_threads=1)
+        clip = self._clips[settings.clip]
+        shown = driver.shown(clip, settings.sensors)
+        sim = BatchSim([clip], config, 1, num_threads=1, shown=shown)
         driver.bind(sim, settings.sensors)
         self._settings = settings
         self._begin(sim)
