@@ -170,18 +170,13 @@ def _under(place, surface, grid, position, quat, point, scale):
 
 @jit
 def _middle(position, quat, soles, scale):
-    """Where the middle of a sole is, x and y, on the level floor, and its lowest point's height."""
-    middle_x, middle_y, lowest = 0.0, 0.0, 1e9
+    """Where the middle of a sole is on the level floor, x and y."""
+    middle_x, middle_y = position[0] * scale, position[1] * scale
     for k in range(soles.shape[0]):
-        x, y, z = _rotated(quat, soles[k, 0] * scale, soles[k, 1] * scale, soles[k, 2] * scale)
+        x, y, _ = _rotated(quat, soles[k, 0] * scale, soles[k, 1] * scale, soles[k, 2] * scale)
         middle_x += x / soles.shape[0]
         middle_y += y / soles.shape[0]
-        lowest = min(lowest, z)
-    return (
-        middle_x + position[0] * scale,
-        middle_y + position[1] * scale,
-        (lowest + position[2] * scale),
-    )
+    return middle_x, middle_y
 
 
 @jit
@@ -297,6 +292,9 @@ def _bearing(
     position, quat = ref
     foot = 3 + 3 * leg
     before, after = steps.before[row, leg], steps.after[row, leg]
+    if max(walking, steps.stays[before, leg], steps.stays[after, leg]) == 0.0:
+        x, y, z = position[row, foot, 0], position[row, foot, 1], position[row, foot, 2]
+        return 0.0, x * scale, y * scale, z * scale, (1.0, 0.0, 0.0, 0.0), pelvis_rise
     height, lean_x, lean_y = _stance(
         place, surface, grid, position[before, foot], quat[before, foot], soles, scale
     )
@@ -326,7 +324,7 @@ def _bearing(
     lean_x, lean_y = firm * lean_x, firm * lean_y
     rise = pelvis_rise + firm * (rise - pelvis_rise)
     q = (quat[row, foot, 0], quat[row, foot, 1], quat[row, foot, 2], quat[row, foot, 3])
-    middle_x, middle_y, _ = _middle(position[row, foot], q, soles, scale)
+    middle_x, middle_y = _middle(position[row, foot], q, soles, scale)
     # The ground's normal leans against the slope; the foot turns with it.
     steepness = math.sqrt(lean_x * lean_x + lean_y * lean_y)
     turn = (1.0, 0.0, 0.0, 0.0)
