@@ -40,7 +40,7 @@ safety-relevant use."""
 LIMITS = """\
 - It knows the motions above and their like. Others can make the avatar fall; once it has fallen
   or lags far behind, it does not catch up.
-- It was trained {ground}, without obstacles or other people.
+- It was trained {ground}, without other people.
 - It fits this body, order of joints, observation and 36 Hz only; anything else is refused.
 - A body is described by its height alone: other proportions, strength or age are not modelled."""
 
@@ -187,7 +187,9 @@ def read_report(path: Path, schema: str, version: int, of: str, usual_name: str)
 def _ground(training: Mapping[str, Any]) -> str:
     ground = training["ground"]
     where = "on flat ground" if ground == "flat" else f"on `{ground}` ground (see environments)"
-    return where + (", under pushes at the chest" if training["pushed"] else ", without pushes")
+    pushed = ", under pushes at the chest" if training["pushed"] else ", without pushes"
+    things = " and ".join(f"a {kind}" for kind in training.get("objects", ()))
+    return where + pushed + (f", with {things} in the way" if things else ", without obstacles")
 
 
 def _purpose(agent: PolicyAgent) -> str:
@@ -195,6 +197,11 @@ def _purpose(agent: PolicyAgent) -> str:
         return (
             "Makes the avatar follow any full-body reference by torques on its 33 joints, 36 times "
             "a second: it sees the avatar's state and coming frames of the reference."
+        ) + (
+            " It has learnt on references that kinematic systems estimate, to do what the user "
+            "does all the same."
+            if agent.card["training"].get("shown_estimates")
+            else ""
         )
     devices = ", ".join(name.replace("_", " ") for name in sensor_set(agent.needs.sensors))
     frames = agent.needs.future_frames

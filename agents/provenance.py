@@ -72,6 +72,8 @@ def provenance(folder: Path) -> dict[str, Any]:
         ],
         "ground": read_run(parts[-1].run)["args"].get("env") or "flat",
         "pushed": read_run(parts[-1].run)["args"].get("pushes") is not None,
+        "objects": read_run(parts[-1].run)["args"].get("objects") or [],
+        "shown_estimates": read_run(parts[-1].run)["args"].get("estimates") is not None,
         "licence": strictest(name for part in parts for name in part.training["licences"]),
         "versions": read_run(parts[-1].run)["versions"],
     }
