@@ -11,9 +11,11 @@ from agents.evaluation import EvaluateArgs, env_config, evaluate
 from agents.kinematic.catalogue import catalogue
 from agents.kinematic.interface import Poses
 from agents.kinematic.physics import (
+    BEGINNING_FRAMES,
     LATENCY_FRAMES,
     TRACKER,
     avatar_samples,
+    begun_as,
     follow_poses,
     on_own_body,
     reference_of,
@@ -87,6 +89,23 @@ def test_an_avatar_begins_in_the_users_own_state_whatever_the_estimate_begins_wi
     (rollout,) = follow_poses([estimate], [MOTION])
     np.testing.assert_allclose(rollout.qpos[0], truth.qpos[0], atol=1e-6)
     assert rollout.kind == truth.kind
+
+
+def test_an_estimate_begins_in_the_users_own_state_and_knows_nothing_later_of_it():
+    truth = to_clip(MOTION)
+    turned = truth.qpos.copy()
+    turned[:, 7:] += 0.3
+    estimate = clip_from_qpos("estimate", turned, truth.height_m, kind="walk")
+    begun = begun_as(estimate, truth)
+    np.testing.assert_allclose(begun.qpos[0], truth.qpos[0], atol=1e-9)
+    np.testing.assert_allclose(begun.qpos[BEGINNING_FRAMES:], estimate.qpos[BEGINNING_FRAMES:])
+    off = np.abs(begun.qpos[:, 7:] - estimate.qpos[:, 7:]).max(axis=1)
+    assert (np.diff(off[: BEGINNING_FRAMES + 1]) < 0).all()
+    assert begun.kind == "walk"
+    other = truth.qpos.copy()
+    other[2:, 7:] += 1.0  # central differences: the first velocity knows frame 1
+    later = clip_from_qpos("later", other, truth.height_m)
+    np.testing.assert_array_equal(begun_as(estimate, later).qpos, begun.qpos)
 
 
 def test_an_avatar_lost_at_once_has_no_samples_but_its_failure():
