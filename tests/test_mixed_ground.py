@@ -44,8 +44,8 @@ def test_a_given_share_of_episodes_is_on_level_floor_and_the_rest_evenly_on_tile
     tile = placed(swaying_clip(), replace(MIXED, flat_share=share), 4000).tile
     assert (tile[:, 0] == 0).mean() == pytest.approx(share, abs=0.03)
     assert not (tile[:, 0] == 1).any()  # between floor and tiles nobody begins
-    for column in (2, 3):
-        assert (tile[:, 0] == column).mean() == pytest.approx((1.0 - share) / 2, abs=0.03)
+    for column in (2, 3, 4):
+        assert (tile[:, 0] == column).mean() == pytest.approx((1.0 - share) / 3, abs=0.03)
     for level in range(4):
         assert (tile[:, 1] == level).mean() == pytest.approx(0.25, abs=0.03)
 
@@ -70,7 +70,7 @@ def test_mixed_tiles_are_rough_and_sloping_ground_up_to_the_tables() -> None:
     around = np.stack(np.meshgrid(reach, reach), -1)
     line = np.stack([np.linspace(2.0, 6.0, 9), np.zeros(9)], -1)
     for level in range(4):
-        rough, slope = (tile_centre(MIXED, np.array(c), np.array(level)) for c in (2, 3))
+        rough, slope = (tile_centre(MIXED, np.array(c), np.array(level)) for c in (3, 4))
         most = np.abs(field.height_at(around + rough)).max()
         assert most == pytest.approx(0.02 * (level + 1), rel=0.05)
         fall = -np.diff(field.height_at(line + slope)) / 0.5
@@ -164,9 +164,9 @@ def test_teacher_and_student_learn_on_mixed_ground_under_pushes(
         made.append(config)
         return vec_env(clips, config, *rest)
 
-    def see_sim(clips, config, *rest):
+    def see_sim(clips, config, *rest, **others):
         made.append(config)
-        return sim(clips, config, *rest)
+        return sim(clips, config, *rest, **others)
 
     monkeypatch.setattr(training, "QuestVecEnv", see_env)
     monkeypatch.setattr(training, "evaluation_sim", see_sim)

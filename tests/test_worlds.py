@@ -193,7 +193,9 @@ def test_a_policy_is_trained_further_on_a_terrain(library, tmp_path, monkeypatch
     made = []
     monkeypatch.setattr(
         "agents.training.evaluation_sim",
-        lambda clips, config, *rest: made.append(config) or evaluation_sim(clips, config, *rest),
+        lambda clips, config, *rest, **others: (
+            made.append(config) or evaluation_sim(clips, config, *rest, **others)
+        ),
     )
     args = TrainArgs(
         out=tmp_path / "run",
