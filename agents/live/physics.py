@@ -9,7 +9,7 @@ import numpy as np
 
 from agents.agent import Agent, Needs
 from agents.kinematic.interface import Body, KinematicSystem
-from agents.kinematic.physics import reference_of
+from agents.kinematic.physics import begun_as, reference_of
 from agents.live.drivers import TorqueDriver
 from agents.live.poses import LEFT_OPEN, PoseDriver
 from envs.config import EnvConfig
@@ -67,4 +67,5 @@ class PhysicsDriver(TorqueDriver):
         # The way over 60 Hz may lose the last frame.
         rows = np.minimum(np.arange(len(clip)), len(estimate) - 1)
         qpos = estimate.qpos[rows]
-        return clip_from_qpos(clip.name, qpos, estimate.height_m).scaled(clip.height_m)
+        whole = clip_from_qpos(clip.name, qpos, estimate.height_m).scaled(clip.height_m)
+        return begun_as(whole, clip)
