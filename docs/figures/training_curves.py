@@ -40,6 +40,10 @@ FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
         ("goes on again, H+2C", "H+2C, of the last teacher"),
         ("goes on again, H", "H, of the last teacher"),
     ),
+    "training-estimates.png": (
+        ("shown estimates", "shown estimates of HMD-Poser and LGSIK-Poser"),
+        ("shown estimates, again", "of ik and DragPoser, and recordings, too"),
+    ),
 }
 """The curves of each picture; a pair is a curve and what it is called there."""
 
