@@ -229,4 +229,15 @@ SMOKE = Preset(
 )
 """Whether everything works, in two minutes: it learns little."""
 
+
+def shown_estimates(name: str, stage: StageConfig) -> StageConfig:
+    """A stage of that name for a tracker that sees estimates in place of what the user did.
+
+    Its networks are a teacher's, and so is its reward, which is of what the user did.
+    """
+    if name == "finetune":
+        return replace(stage, policy=TEACHER, reward=TRACKING_REWARD)
+    return replace(stage, policy=SHOWN_ESTIMATES)
+
+
 PRESETS: dict[str, Preset] = {"cpu": CPU, "paper": PAPER, "smoke": SMOKE}

@@ -17,7 +17,7 @@ from agents.learner import Learner
 from agents.monitor import Display
 from agents.overrides import with_overrides
 from agents.ppo import AdaptivePPO
-from agents.presets import PRESETS, SHOWN_ESTIMATES, PPOConfig, Preset, StageConfig
+from agents.presets import PRESETS, PPOConfig, Preset, StageConfig, shown_estimates
 from agents.rolling import Followed, choose_clips, evaluation_sim, follow
 from agents.run_folder import (
     RECORD,
@@ -83,9 +83,9 @@ class TrainArgs:
     student or finetune, a policy (a run, a stage, a shipped name) that is trained further; with a
     kinematic --agent, a system of that agent and these sizes."""
     estimates: str | None = None
-    """Libraries of questsim estimate, joined by commas, of --motions: with --stage student what
-    learns is a tracker that is shown these, and what they are of, while its teacher sees what the
-    users did."""
+    """Libraries of questsim estimate, joined by commas, of --motions: what learns with --stage
+    student or finetune is a tracker that is shown these, and what they are of, while its teacher
+    sees, and its reward is for, what the users did."""
     sensors: str = "H+2C"
     """What the policy sees of the user."""
     future_frames: int = 6
@@ -215,8 +215,9 @@ def _estimates(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
 
     if args.estimates is None:
         return None
-    if args.stage != "student":
-        raise InputError(f"are for students, not for {args.stage}", "--estimates")
+    if args.stage not in ("student", "finetune"):
+        fix = "add --stage student or finetune"
+        raise InputError(f"are not for stage {args.stage}", "--estimates", fix)
     if args.mirrored:
         raise InputError("are not mirrored", "--estimates", "leave out --mirrored")
     known = {clip.name: clip for clip in clips}
@@ -262,7 +263,7 @@ def _run_stage(
 ) -> None:
     config = preset.stages[name]
     if shown is not None:
-        config = replace(config, policy=SHOWN_ESTIMATES)
+        config = shown_estimates(name, config)
     env_config = _env_config(args, preset, config)
     learnt, validation = split_validation(clips, args.hold_out, preset.validation_clips)
     # Each stage has its own stream of random numbers, whether it runs alone or after another.

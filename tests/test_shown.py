@@ -14,6 +14,7 @@ from helpers import swaying_clip
 from agents import training
 from agents.agent import Tracker, load_agent
 from agents.dagger import Dagger
+from agents.ppo import AdaptivePPO
 from agents.provenance import commands, stages_behind
 from agents.training import TrainArgs, train
 from envs import BatchSim, EnvConfig, QuestVecEnv, Terrain
@@ -122,10 +123,33 @@ def test_a_student_learns_to_follow_estimates_from_who_sees_the_truth(
     assert any("--estimates" in line and "--stage student" in line for line in again)
 
 
+def test_a_tracker_that_is_shown_estimates_is_tuned_by_what_is_true(
+    library, tmp_path, monkeypatch
+) -> None:
+    made = []
+    make = training.make_learner
+    monkeypatch.setattr(
+        training, "make_learner", lambda *args: made.append(make(*args)) or made[-1]
+    )
+    options = {"preset": "cpu", "stage": "finetune", "estimates": str(library)}
+    assert train(tiny(tmp_path, start=Path("estimate-tracker"), **options)) == 0
+    (learner,) = made
+    assert isinstance(learner, AdaptivePPO)
+    env = learner.env
+    assert isinstance(env, QuestVecEnv)
+    assert env.true_observation is not env.observation and learner.num_timesteps == 128
+    shipped = load_agent("estimate-tracker")
+    assert isinstance(shipped, Tracker)
+    assert learner.policy.spec.actor_blocks == shipped.policy.spec.actor_blocks
+    for name, weights in shipped.policy.actor.named_parameters():
+        # The critic learns alone at first: what is not better than the start is not kept.
+        torch.testing.assert_close(learner.policy.actor.get_parameter(name), weights)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"stage": "teacher"}, "--estimates: are for students, not for teacher"),
+        ({"stage": "teacher"}, "--estimates: are not for stage teacher"),
         ({"mirrored": True}, "--estimates: are not mirrored"),
     ],
 )
