@@ -15,8 +15,8 @@ from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
 from questsim.motion.checks import stature_of
+from questsim.motion.limbs import ARM_REST
 from questsim.motion.motion import Motion
-from questsim.motion.retarget import ARM_REST
 from questsim.sensors import DEVICES, imu_signal
 from questsim.skeleton import JOINTS
 

@@ -15,7 +15,7 @@ from agents.kinematic.interface import Body, KinematicSystem, Poses, Signals
 from questsim import rotations as rot
 from questsim.body import scaled_spec
 from questsim.motion.checks import stature_of
-from questsim.motion.retarget import ARM_REST, SIDES
+from questsim.motion.limbs import ARM_REST, SIDES
 from questsim.skeleton import JOINT_PARENTS, JOINTS, LINK_JOINTS, LINK_PARENTS, LINKS, NUM_JOINTS
 
 DEVICES: tuple[str, ...] = (

@@ -8,8 +8,8 @@ from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.kinematics import link_offsets
+from questsim.motion.limbs import ARM_REST, SIDES
 from questsim.motion.motion import Motion
-from questsim.motion.retarget import ARM_REST, SIDES
 from questsim.skeleton import JOINT_PARENTS, JOINTS, LINK_JOINTS, LINKS, NUM_JOINTS
 
 # Where joints that no link's origin gives lie in their parents, on the 1.75 m body. The avatar has

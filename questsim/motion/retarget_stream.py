@@ -12,11 +12,19 @@ import numpy as np
 
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M, build_body
-from questsim.motion import retarget
 from questsim.motion.clip import FPS
 from questsim.motion.kinematics import sole_points, sole_positions
+from questsim.motion.limbs import (
+    FLOOR_PERCENTILE,
+    SIDES,
+    ankle_rise,
+    fill_arm,
+    fill_leg,
+    fill_trunk,
+    leg_ratio,
+    root_path,
+)
 from questsim.motion.motion import Motion
-from questsim.motion.retarget import FLOOR_PERCENTILE, SIDES
 from questsim.skeleton import FOOT_LINKS, JOINTS, NUM_DOFS
 
 _ANKLES = [JOINTS.index(f"{side}_ankle") for side in SIDES]
@@ -38,7 +46,7 @@ class StreamRetargeter:
         self._data = mujoco.MjData(self._model)
         motion = recording.resampled(FPS)
         position, quat = motion.forward_kinematics()
-        self._rise = retarget._ankle_rise(motion, position)
+        self._rise = ankle_rise(motion, position)
         self._floor = 0.0
         _, ankles = self._targets(motion, position, quat)
         lowest = self._lowest(ankles, quat[:, _ANKLES]).min(axis=-1)
@@ -48,9 +56,9 @@ class StreamRetargeter:
         """The avatar's ``qpos`` ``(T, 40)`` of poses of that person ``(T)``, floor at z = 0."""
         position, quat = poses.forward_kinematics()
         angles = np.zeros((len(poses), NUM_DOFS))
-        links = retarget._trunk(quat, angles)
+        links = fill_trunk(quat, angles)
         for side in SIDES:
-            retarget._arm(side, poses, position, quat, links, self._height, angles)
+            fill_arm(side, poses, position, quat, links, self._height, angles)
         root, ankles = self._targets(poses, position, quat)
         # What the ankle's hinges lack may press a sole lower than it is to be, and into the floor.
         allowed = np.minimum(self._lowest(ankles, quat[:, _ANKLES]), 0.0)
@@ -65,9 +73,9 @@ class StreamRetargeter:
         self, poses: Motion, position: np.ndarray, quat: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Paths of pelvis ``(T, 3)`` and ankles ``(T, 2, 3)``: as ``retarget`` has them."""
-        ratio = retarget._leg_ratio(poses, self._height)
+        ratio = leg_ratio(poses, self._height)
         avatar_rise = -sole_points()[..., 2].mean() * self._height / DEFAULT_HEIGHT_M
-        root = retarget._root_path(poses, position, self._height)
+        root = root_path(poses, position, self._height)
         root[:, 2] += avatar_rise - ratio * self._rise - self._floor
         up = rot.quat_rotate(quat[:, _ANKLES], _UP)
         ankles = (position[:, _ANKLES] - self._rise * up) * ratio + avatar_rise * up
@@ -92,7 +100,7 @@ class StreamRetargeter:
         self, root: np.ndarray, quat: np.ndarray, ankles: np.ndarray, angles: np.ndarray
     ) -> np.ndarray:
         for index, side in enumerate(SIDES):
-            retarget._leg(side, root, quat, ankles[:, index], self._height, angles)
+            fill_leg(side, root, quat, ankles[:, index], self._height, angles)
         return np.concatenate([root, quat[:, 0], _within_limits(angles)], axis=-1)
 
 

@@ -220,7 +220,7 @@ def _alone(path: Path) -> FileLock:
 def _code_digest() -> str:
     """Digest of the code and the body that clips depend on: they outdate the cache."""
     here = Path(__file__).parent
-    names = "bvh amass families convert reading checks motion clip retarget kinematics"
+    names = "bvh amass families convert reading checks motion clip retarget limbs kinematics"
     sources = [here / f"{name}.py" for name in names.split()]
     sources += [Path(str(module.__file__)) for module in (rotations, skeleton)]
     sources += [here.parent / "body.py", mjcf_path("humanoid.xml")]

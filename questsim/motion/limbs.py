@@ -1,0 +1,236 @@
+"""The avatar's trunk, legs and arms from a motion's joints: what retargeting is made of.
+
+Trunk and head take the motion's orientations; legs and arms are bent by two-bone inverse
+kinematics in the plane of the motion's knee or elbow. ``retarget`` puts a whole clip together of
+these, ``retarget_stream`` poses as they come.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from questsim import rotations as rot
+from questsim.body import DEFAULT_HEIGHT_M, build_body
+from questsim.motion.kinematics import link_offsets
+from questsim.motion.motion import Motion
+from questsim.skeleton import DOFS, JOINT_PARENTS, JOINTS, LINKS
+
+SIDES = ("left", "right")
+FULL_STRETCH = 0.999
+"""A limb reaches at most this share of its length: beyond it the knee would snap."""
+FLOOR_PERCENTILE = 10.0
+"""The floor lies where the lower foot is lowest; a percentile is robust to single dips."""
+# In the motion's T-pose the arms point sideways, in the avatar's zero pose they hang.
+ARM_REST = {
+    "left": rot.as_quat(Rotation.from_euler("x", 90, degrees=True)),
+    "right": rot.as_quat(Rotation.from_euler("x", -90, degrees=True)),
+}
+# The shoulders' first two hinges are turned about z by these angles (humanoid.xml).
+SHOULDER_TURN = {"left": -np.pi / 4, "right": np.pi / 4}
+STRAIGHT_ARM_WEIGHT = 0.1
+"""Weight of the upper arm's own hinge axis against the sine of its angle to the wrist's line."""
+
+
+def joint_index(name: str) -> int:
+    """Row of a motion's joint."""
+    return JOINTS.index(name)
+
+
+def _dofs(*names: str) -> list[int]:
+    return [DOFS.index(name) for name in names]
+
+
+def _link_offset(link: str, height: float) -> np.ndarray:
+    return link_offsets()[LINKS.index(link)] * (height / DEFAULT_HEIGHT_M)
+
+
+def _length(link: str, height: float) -> float:
+    """Metres from the parent's origin to the link's."""
+    return float(np.linalg.norm(_link_offset(link, height)))
+
+
+def leg_ratio(motion: Motion, height: float) -> float:
+    """Avatar's over the motion's length of thigh and shin."""
+    motion_leg = sum(
+        np.linalg.norm(motion.offsets[joint_index(f"{side}_{part}")])
+        for side in SIDES
+        for part in ("knee", "ankle")
+    )
+    avatar_leg = sum(
+        np.linalg.norm(_link_offset(f"{side}_{part}", height))
+        for side in SIDES
+        for part in ("shin", "foot")
+    )
+    return float(avatar_leg / motion_leg)
+
+
+def root_path(motion: Motion, position: np.ndarray, height: float) -> np.ndarray:
+    """``(T, 3)`` path of the pelvis (midway between the hips) before floor placement."""
+    hips = position[:, [joint_index("left_hip"), joint_index("right_hip")]].mean(axis=1)
+    return hips * leg_ratio(motion, height)
+
+
+def _euler(relative: np.ndarray, order: str) -> np.ndarray:
+    """Intrinsic angles ``(T, 3)`` in radians, without jumps by full turns."""
+    return np.unwrap(rot.as_rotation(relative).as_euler(order), axis=0)
+
+
+def _relative(parent: np.ndarray, child: np.ndarray) -> np.ndarray:
+    return rot.quat_multiply(rot.quat_conjugate(parent), child)
+
+
+def fill_trunk(quat: np.ndarray, angles: np.ndarray) -> dict[str, np.ndarray]:
+    """Fill the trunk's and neck's angles; return orientations ``(T, 4)`` of its links."""
+    links = {
+        "pelvis": quat[:, joint_index("root")],
+        "spine": quat[:, joint_index("spine1")],
+        "chest": quat[:, joint_index("spine3")],
+        "head": quat[:, joint_index("head")],
+    }
+    names = list(links)
+    for parent, child in pairwise(names):
+        hinge = "neck" if child == "head" else child
+        dofs = _dofs(f"{hinge}_y", f"{hinge}_x", f"{hinge}_z")
+        angles[:, dofs] = _euler(_relative(links[parent], links[child]), "YXZ")
+    return links
+
+
+def ankle_rise(motion: Motion, position: np.ndarray) -> float:
+    """Metres from sole to ankle of the motion's flat foot.
+
+    The toe joint's drop below the ankle in the rest pose, and the toe's own height, which no
+    skeleton tells: the lowest it comes to the floor of the file, within reason.
+    """
+    toes = [joint_index(f"{side}_toe") for side in SIDES]
+    drop = -motion.offsets[toes, 2].mean()
+    toe_height = np.percentile(position[:, toes, 2].min(axis=1), FLOOR_PERCENTILE)
+    return float(max(drop, 0.0) + np.clip(toe_height, 0.01, 0.05))
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-9)
+
+
+def _frame(down: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """Quaternions ``(T, 4)`` of links that hang along ``down`` with their y axis near ``left``."""
+    z = -_unit(down)
+    y = _unit(left - np.sum(left * z, axis=-1, keepdims=True) * z)
+    return rot.matrix_to_quat(np.stack([np.cross(y, z), y, z], axis=-1))
+
+
+def _two_bones(
+    reach: np.ndarray, axis: np.ndarray, upper: float, lower: float, bend: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Bend a two-bone limb so that it ends at ``reach`` ``(T, 3)`` from its beginning.
+
+    Args:
+        reach: from hip or shoulder to ankle or wrist, metres.
+        axis: ``(T, 3)`` the hinge's axis in the world, roughly.
+        upper, lower: lengths of the bones in metres.
+        bend: sign of the hinge's rotation about its axis: +1 knee, -1 elbow.
+
+    Returns:
+        orientations ``(T, 4)`` of the upper and the lower link, and the hinge angle ``(T,)``.
+    """
+    distance = np.linalg.norm(reach, axis=-1)
+    distance = np.clip(distance, abs(upper - lower) + 1e-3, FULL_STRETCH * (upper + lower))
+    at_start = (upper**2 + distance**2 - lower**2) / (2 * upper * distance)
+    at_hinge = (upper**2 + lower**2 - distance**2) / (2 * upper * lower)
+    angle = bend * (np.pi - np.arccos(np.clip(at_hinge, -1.0, 1.0)))
+    lead = -bend * np.arccos(np.clip(at_start, -1.0, 1.0))
+    straight = _frame(reach, axis)
+    upper_quat = rot.quat_multiply(straight, _about_y(lead))
+    return upper_quat, rot.quat_multiply(upper_quat, _about_y(angle)), angle
+
+
+def _about_y(angle: np.ndarray) -> np.ndarray:
+    zero = np.zeros_like(angle)
+    return np.stack([np.cos(angle / 2), zero, np.sin(angle / 2), zero], axis=-1)
+
+
+def fill_leg(
+    side: str,
+    root: np.ndarray,
+    quat: np.ndarray,
+    ankle: np.ndarray,
+    height: float,
+    angles: np.ndarray,
+) -> None:
+    """Fill the six angles of a leg whose ankle goes to ``ankle`` ``(T, 3)``."""
+    pelvis = quat[:, joint_index("root")]
+    hip = root + rot.quat_rotate(pelvis, _link_offset(f"{side}_thigh", height))
+    knee_axis = rot.quat_rotate(quat[:, joint_index(f"{side}_hip")], np.array([0.0, 1.0, 0.0]))
+    thigh_length = _length(f"{side}_shin", height)
+    shin_length = _length(f"{side}_foot", height)
+    thigh, shin, knee = _two_bones(ankle - hip, knee_axis, thigh_length, shin_length, bend=1.0)
+    angles[:, _dofs(f"{side}_hip_y", f"{side}_hip_x", f"{side}_hip_z")] = _euler(
+        _relative(pelvis, thigh), "YXZ"
+    )
+    angles[:, _dofs(f"{side}_knee_y")] = knee[:, None]
+    foot = _relative(shin, quat[:, joint_index(f"{side}_ankle")])
+    angles[:, _dofs(f"{side}_ankle_y", f"{side}_ankle_x")] = _euler(foot, "YXZ")[:, :2]
+
+
+def fill_arm(
+    side: str,
+    motion: Motion,
+    position: np.ndarray,
+    quat: np.ndarray,
+    links: dict[str, np.ndarray],
+    height: float,
+    angles: np.ndarray,
+) -> None:
+    """Fill the six angles of an arm; positions are relative, so the root does not matter."""
+    upper_length = _length(f"{side}_forearm", height)
+    lower_length = _length(f"{side}_hand", height)
+    shoulder = _link_offset(f"{side}_upper_arm", height)
+    span, centre = _arm_rest(motion)
+    ratio = (abs(shoulder[1]) + upper_length + lower_length) / span
+    spine = joint_index("spine3")
+    middle = position[:, spine] + rot.quat_rotate(quat[:, spine], centre)
+    wrist = (position[:, joint_index(f"{side}_wrist")] - middle) * ratio
+    lateral = rot.quat_rotate(links["chest"], shoulder * np.array([0.0, 1.0, 0.0]))
+    reach = wrist - lateral
+
+    upper = position[:, joint_index(f"{side}_elbow")] - position[:, joint_index(f"{side}_shoulder")]
+    rest = ARM_REST[side]
+    own = rot.quat_multiply(quat[:, joint_index(f"{side}_shoulder")], rest)
+    own_axis = rot.quat_rotate(own, np.array([0.0, 1.0, 0.0]))
+    # The bent arm shows its plane; towards a straight one the upper arm's own axis takes over.
+    axis = np.cross(_unit(reach), _unit(upper)) + STRAIGHT_ARM_WEIGHT * own_axis
+    arm, forearm, elbow = _two_bones(reach, axis, upper_length, lower_length, bend=-1.0)
+
+    turn = rot.yaw_quat(np.array(SHOULDER_TURN[side]))
+    relative = rot.quat_multiply(_relative(turn, _relative(links["chest"], arm)), turn)
+    dofs = _dofs(f"{side}_shoulder_x", f"{side}_shoulder_y", f"{side}_shoulder_z")
+    angles[:, dofs] = _within_turn(_euler(relative, "XYZ"), dofs)
+    angles[:, _dofs(f"{side}_elbow_y")] = elbow[:, None]
+    hand = rot.quat_multiply(quat[:, joint_index(f"{side}_wrist")], rest)
+    dofs = _dofs(f"{side}_wrist_z", f"{side}_wrist_x")
+    angles[:, dofs] = _within_turn(_euler(_relative(forearm, hand), "ZXY")[:, :2], dofs)
+
+
+def _arm_rest(motion: Motion) -> tuple[float, np.ndarray]:
+    """Half the arm span, and the midpoint of the shoulders from spine3, in the rest pose."""
+
+    def from_spine(name: str) -> np.ndarray:
+        joint, place = joint_index(name), np.zeros(3)
+        while joint != joint_index("spine3"):
+            place = place + motion.offsets[joint]
+            joint = JOINT_PARENTS[joint]
+        return place
+
+    centre = (from_spine("left_shoulder") + from_spine("right_shoulder")) / 2.0
+    span = (from_spine("left_wrist")[1] - from_spine("right_wrist")[1]) / 2.0
+    return float(span), centre
+
+
+def _within_turn(values: np.ndarray, dofs: list[int]) -> np.ndarray:
+    """Whole turns added to angles ``(T, len(dofs))`` so that they lie about their ranges."""
+    limits = build_body().model.jnt_range[1:][dofs]
+    middle = limits.mean(axis=1)
+    turns = np.round((np.median(values, axis=0) - middle) / (2 * np.pi))
+    return values - 2 * np.pi * turns
