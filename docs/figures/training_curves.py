@@ -31,6 +31,8 @@ FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
         "goes on, flat",
         "goes on, mixed ground and pushes",
         ("and estimated motion, more hard ground", "and estimated motion"),
+        ("only the hardest ground, larger batches", "only the hardest ground, balls, larger batches"),
+        ("and a longer horizon", "and a longer horizon (discount 0.99)"),
     ),
     "training-students.png": ("student H+2C", "student H", "student H+2C, no future frames"),
     "training-students-shipped.png": (
@@ -43,6 +45,7 @@ FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
     "training-estimates.png": (
         ("shown estimates", "shown estimates of HMD-Poser and LGSIK-Poser"),
         ("shown estimates, again", "of ik and DragPoser, and recordings, too"),
+        ("shown estimates, by reward", "by reward for what the user did"),
     ),
 }
 """The curves of each picture; a pair is a curve and what it is called there."""
