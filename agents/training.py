@@ -211,6 +211,8 @@ def _estimates(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
     Raises:
         InputError: the stage has no use for estimates, or they are not of these clips.
     """
+    from questsim.motion.retarget import to_clip
+    from questsim.motion.retarget_back import to_motion
     from questsim.motion.spec import load_motions
 
     if args.estimates is None:
@@ -230,6 +232,9 @@ def _estimates(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
                 args.estimates,
                 "name a library that questsim estimate made of them",
             )
+        if known[user].height_m != estimate.height_m:
+            # Estimates are of recordings, and a recording's stature is measured on its bones.
+            known[user] = to_clip(to_motion(known[user]))
         name, again = estimate.name, 2
         while name in pairs:  # of the same system, from other devices
             name, again = f"{estimate.name} {again}", again + 1

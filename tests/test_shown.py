@@ -22,6 +22,7 @@ from questsim.errors import InputError
 from questsim.motion.clip import Clip
 from questsim.motion.kinematics import clip_from_qpos
 from questsim.motion.library import save_library
+from questsim.motion.retarget import to_clip
 from questsim.motion.retarget_back import to_motion
 
 CLIPS = [swaying_clip("a", 1.75), swaying_clip("b", 1.6, frames=50)]
@@ -144,6 +145,26 @@ def test_a_tracker_that_is_shown_estimates_is_tuned_by_what_is_true(
     for name, weights in shipped.policy.actor.named_parameters():
         # The critic learns alone at first: what is not better than the start is not kept.
         torch.testing.assert_close(learner.policy.actor.get_parameter(name), weights)
+
+
+def test_truths_are_as_tall_as_what_is_estimated_of_their_recordings(
+    library, tmp_path, monkeypatch
+) -> None:
+    recorded = to_clip(to_motion(CLIPS[0]))
+    assert recorded.height_m != CLIPS[0].height_m
+    path = tmp_path / "recorded.npz"
+    save_library(path, [to_motion(recorded)], [estimate_of(recorded)])
+    learnt = []
+    monkeypatch.setattr(
+        training,
+        "QuestVecEnv",
+        lambda clips, *rest: learnt.extend(clips) or QuestVecEnv(clips, *rest),
+    )
+    args = tiny(tmp_path / "run", stage="student", teacher=Path("tracker"), estimates=str(path))
+    assert train(args) == 0
+    assert len(learnt) == 2
+    for clip in learnt:
+        np.testing.assert_allclose(clip.qpos, recorded.qpos)
 
 
 @pytest.mark.parametrize(
