@@ -31,7 +31,10 @@ FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
         "goes on, flat",
         "goes on, mixed ground and pushes",
         ("and estimated motion, more hard ground", "and estimated motion"),
-        ("only the hardest ground, larger batches", "only the hardest ground, balls, larger batches"),
+        (
+            "only the hardest ground, larger batches",
+            "only the hardest ground, balls, larger batches",
+        ),
         ("and a longer horizon", "and a longer horizon (discount 0.99)"),
     ),
     "training-students.png": ("student H+2C", "student H", "student H+2C, no future frames"),
@@ -39,8 +42,9 @@ FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
         "goes on, H+2C",
         "goes on, H",
         "goes on, H+2C, no future frames",
-        ("goes on again, H+2C", "H+2C, of the last teacher"),
-        ("goes on again, H", "H, of the last teacher"),
+        ("goes on again, H+2C", "H+2C, of the next teacher"),
+        ("goes on once more, H+2C", "H+2C, of the last teacher, hardest ground"),
+        ("goes on again, H", "H, of the next teacher"),
     ),
     "training-estimates.png": (
         ("shown estimates", "shown estimates of HMD-Poser and LGSIK-Poser"),
