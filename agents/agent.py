@@ -9,8 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from gymnasium import spaces
 
-from agents.policy import TorquePolicy
-from agents.spec import Layout, PolicySpec
+from agents.policy.networks import TorquePolicy
+from agents.policy.spec import Layout, PolicySpec
 from questsim.errors import InputError
 from questsim.skeleton import NUM_DOFS
 
@@ -169,7 +169,7 @@ def load_agent(path_or_name: str | Path) -> Agent:
         InputError: if there is no such agent, or its checkpoint is of another format version,
             joint order, link order or observation layout.
     """
-    from agents.checkpoint import find_policy, load_policy
+    from agents.policy.checkpoint import find_policy, load_policy
 
     if path_or_name == "zero":
         return ZeroAgent()

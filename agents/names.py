@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from agents.checkpoint import CARD_FILE as POLICY_CARD
-from agents.checkpoint import shipped_with
+from agents.policy.checkpoint import CARD_FILE as POLICY_CARD
+from agents.policy.checkpoint import shipped_with
 
 SYSTEM_CARD = "system.yaml"
 """Says of a folder that it holds a kinematic system; ``agents/kinematic/store.py`` writes it."""

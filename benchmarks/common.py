@@ -13,7 +13,7 @@ import numpy as np
 
 from envs import QuestVecEnv
 from questsim.motion.clip import Clip
-from questsim.motion.synthetic import synthetic_clips
+from questsim.motion.synthesis.synthetic import synthetic_clips
 
 
 def arguments(

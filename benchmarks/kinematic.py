@@ -15,7 +15,7 @@ import sys
 
 import torch
 
-from agents.comparison_scenarios import SIX
+from agents.comparison.scenarios import SIX
 from agents.kinematic.data import MotionBank
 from agents.kinematic.interface import Body, KinematicSystem
 from agents.kinematic.registry import AGENTS
@@ -25,7 +25,7 @@ from questsim.errors import InputError
 from questsim.joint_sensors import SensorSequence, readings
 from questsim.motion.motion import Motion
 from questsim.motion.retarget_back import to_motion
-from questsim.motion.synthetic import synthetic_clips
+from questsim.motion.synthesis.synthetic import synthetic_clips
 from questsim.sensors import SENSOR_SETS
 
 PUBLISHED_MS = {"sparseposer": 27.0, "dragposer": 30.0, "hmdposer": 17.0, "lgsik": 8.0}

@@ -18,9 +18,9 @@ import numpy as np
 import torch
 
 from agents.agent import Agent, Needs, PolicyAgent, load_agent, new_policy
-from agents.policy import CLIP, MIN_STD
-from agents.presets import PRESETS
-from agents.spec import Layout, initial_gains
+from agents.policy.networks import CLIP, MIN_STD
+from agents.policy.spec import Layout, initial_gains
+from agents.training.presets import PRESETS
 from benchmarks.common import arguments, clips, report
 from envs.config import EnvConfig
 from envs.core import BatchSim

@@ -17,10 +17,10 @@ from typing import Any
 import torch
 
 from agents.agent import Needs
-from agents.beginning import make_learner
-from agents.checkpoint import save_policy
-from agents.presets import PRESETS
-from agents.training import TrainArgs
+from agents.policy.checkpoint import save_policy
+from agents.training.make_learner import make_learner
+from agents.training.presets import PRESETS
+from agents.training.train import TrainArgs
 from benchmarks.common import arguments, clips, report, seconds
 from envs import EnvConfig, QuestVecEnv
 

@@ -12,9 +12,9 @@ import torch
 from stable_baselines3 import PPO
 from torch import nn
 
-from agents.policy import TorquePolicy
-from agents.ppo import AdaptivePPO
-from agents.spec import Layout, PolicySpec, initial_gains
+from agents.policy.networks import TorquePolicy
+from agents.policy.spec import Layout, PolicySpec, initial_gains
+from agents.training.ppo import AdaptivePPO
 from benchmarks.common import arguments, clips, median_rates, report
 from benchmarks.env_throughput import forked
 from envs import EnvConfig, QuestVecEnv

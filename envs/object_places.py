@@ -13,8 +13,8 @@ from envs.placement import Placement, moved
 from envs.reference import Reference
 from questsim.heightfield import HeightField
 from questsim.motion.clip import FPS
-from questsim.motion.synth_seat import SEAT_BEHIND_M
-from questsim.motion.synthetic import SEATED
+from questsim.motion.synthesis.seat import SEAT_BEHIND_M
+from questsim.motion.synthesis.synthetic import SEATED
 from questsim.skeleton import NUM_DOFS
 
 CLEARANCE_M = 0.55

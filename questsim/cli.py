@@ -57,11 +57,11 @@ COMMANDS: dict[str, Command] = {
         "draw a clip: a contact sheet and a video",
     ),
     "train": Command(
-        "agents.training", "train", "TrainArgs",
+        "agents.training.train", "train", "TrainArgs",
         "train an agent, or go on with an earlier training",
     ),
     "evaluate": Command(
-        "agents.evaluation", "evaluate", "EvaluateArgs",
+        "agents.evaluation.evaluate", "evaluate", "EvaluateArgs",
         "let an agent follow clips and score it",
     ),
     "estimate": Command(
@@ -73,19 +73,19 @@ COMMANDS: dict[str, Command] = {
         "list the environments and their options",
     ),
     "export": Command(
-        "agents.export", "export", "ExportArgs",
+        "agents.policy.export", "export", "ExportArgs",
         "write a policy as an ONNX graph from simulator state to torques",
     ),
     "agents": Command(
-        "agents.kinematic.catalogue", "list_agents", "AgentsArgs",
+        "agents.shipping.catalogue", "list_agents", "AgentsArgs",
         "list every agent and preset: sensors, size, licence, weights",
     ),
     "ablations": Command(
-        "agents.kinematic.ablations", "ablations", "AblationsArgs",
+        "agents.comparison.ablations", "ablations", "AblationsArgs",
         "train a kinematic system and variants without one part each, and compare them",
     ),
     "ship": Command(
-        "agents.shipping", "ship", "ShipArgs",
+        "agents.shipping.ship", "ship", "ShipArgs",
         "copy a trained policy to the shipped ones, with a card",
     ),
 }  # fmt: skip

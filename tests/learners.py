@@ -6,10 +6,10 @@ from dataclasses import replace
 
 from fake_env import FakeVecEnv
 
-from agents.beginning import make_ppo
-from agents.ppo import AdaptivePPO
-from agents.presets import PPOConfig, StageConfig
-from agents.spec import TRACKER_BLOCKS, PolicySpec
+from agents.policy.spec import TRACKER_BLOCKS, PolicySpec
+from agents.training.make_learner import make_ppo
+from agents.training.ppo import AdaptivePPO
+from agents.training.presets import PPOConfig, StageConfig
 
 SMALL = PolicySpec(TRACKER_BLOCKS, TRACKER_BLOCKS, (32, 32), "elu", reference_head=True)
 QUICK = PPOConfig(minibatch=128, rollout_steps=16)

@@ -10,21 +10,21 @@ import pytest
 import torch
 import yaml
 
-from agents.comparison_report import Row
+from agents.comparison.ablation_report import FILES, Result, differences, table
+from agents.comparison.ablations import VARIANTS, AblationsArgs, ablations
+from agents.comparison.report import Row
 from agents.kinematic import load_system
-from agents.kinematic.ablation_report import FILES, Result, differences, table
-from agents.kinematic.ablations import VARIANTS, AblationsArgs, ablations
 from agents.kinematic.data import MotionBank
-from agents.kinematic.features import ATOMS
-from agents.kinematic.hmdposer import HmdPoserNet, HmdPoserSpec
 from agents.kinematic.interface import Body
-from agents.kinematic.lgsik import PARTS, LgsikNet, LgsikSpec
+from agents.kinematic.recurrent.features import ATOMS
+from agents.kinematic.recurrent.hmdposer import HmdPoserNet, HmdPoserSpec
+from agents.kinematic.recurrent.lgsik import PARTS, LgsikNet, LgsikSpec
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.skeletal import MaskedConv, MaskedLinear, PlainMixing
 from agents.kinematic.store import find_system, load_module, read_system_card, save_system
 from agents.kinematic.switches import switches
 from agents.overrides import with_overrides
-from agents.training import TrainArgs, train
+from agents.training.train import TrainArgs, train
 from questsim.cli import main
 from questsim.errors import InputError
 from questsim.joint_sensors import readings
@@ -50,7 +50,7 @@ TALL, SHORT = torch.ones(2, 11), -torch.ones(2, 11)
 @pytest.fixture(autouse=True)
 def _few_windows(monkeypatch):
     """Normalisers of these tests need not be good."""
-    monkeypatch.setattr("agents.kinematic.sparse_training.NORMALISED_BY", 16)
+    monkeypatch.setattr("agents.kinematic.sparseposer.training.NORMALISED_BY", 16)
 
 
 @pytest.fixture
@@ -337,7 +337,7 @@ def test_one_command_trains_and_scores_the_full_system_and_all_variants(
     (out / "no-skeleton" / "scores.json").unlink()
     trained = []
     monkeypatch.setattr(
-        "agents.kinematic.ablations.train", lambda args: trained.append(args.out.name) or 0
+        "agents.comparison.ablations.train", lambda args: trained.append(args.out.name) or 0
     )
     for name in FILES:
         (out / name).unlink()
@@ -368,7 +368,7 @@ def test_some_variants_alone_can_be_asked_for_and_the_others_added_later(library
 
 def test_a_stop_during_a_training_leaves_what_can_be_gone_on_with(library, tmp_path, monkeypatch):
     out = tmp_path / "out"
-    monkeypatch.setattr("agents.kinematic.ablations.train", lambda args: 130)
+    monkeypatch.setattr("agents.comparison.ablations.train", lambda args: 130)
     args = arguments("dragposer", library, out)
     assert ablations(args) == 130
     assert not (out / "ablations.md").exists()

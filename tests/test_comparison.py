@@ -9,16 +9,16 @@ import pytest
 import torch
 from PIL import Image
 
-from agents.comparison import FIGURES, FILES, everyone, plan
-from agents.comparison_plots import KINDS, kind_of
-from agents.comparison_report import Row, table
-from agents.comparison_scenarios import faulty, scenarios
-from agents.evaluation import EvaluateArgs, evaluate
+from agents.comparison.compare import FIGURES, FILES, everyone, plan
+from agents.comparison.plots import KINDS, kind_of
+from agents.comparison.report import Row, table
+from agents.comparison.scenarios import faulty, scenarios
+from agents.evaluation.evaluate import EvaluateArgs, evaluate
 from agents.kinematic import load_system
 from agents.kinematic.data import MotionBank
 from agents.kinematic.efficiency import mmac_a_frame, stream_kib
 from agents.kinematic.interface import Body
-from agents.kinematic.recurrent import RecurrentPoser
+from agents.kinematic.recurrent.poser import RecurrentPoser
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import save_system
 from questsim.cli import main

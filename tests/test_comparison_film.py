@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from agents import comparison_film
-from agents.comparison import FILES as TABLES
-from agents.comparison_film import (
+from agents.comparison import film as comparison_film
+from agents.comparison.compare import FILES as TABLES
+from agents.comparison.film import (
     FILES,
     GHOST_OPACITY,
     STRIDE,
@@ -20,7 +20,7 @@ from agents.comparison_film import (
     parts_of,
     to_be_filmed,
 )
-from agents.evaluation import EvaluateArgs, evaluate
+from agents.evaluation.evaluate import EvaluateArgs, evaluate
 from agents.kinematic.interface import Poses
 from questsim.errors import InputError
 from questsim.metrics_terms import mpjpe_cm

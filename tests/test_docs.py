@@ -60,7 +60,7 @@ def test_every_dependency_is_pinned():
 GIVEN = {
     "metrics.md": "from rollouts import rollout, still_clip; rollouts = [rollout(still_clip(40))]",
     "export.md": """
-from agents.export import ExportArgs, export
+from agents.policy.export import ExportArgs, export
 from pathlib import Path
 export(ExportArgs("demo", Path("questsim.onnx")))""",
 }

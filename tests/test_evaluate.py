@@ -10,12 +10,12 @@ import pytest
 import torch
 from helpers import swaying_clip
 
-from agents import evaluation
 from agents.agent import Needs, PolicyAgent, RandomAgent, ZeroAgent, load_agent, new_policy
-from agents.checkpoint import save_policy
-from agents.evaluation import EvaluateArgs, env_config, evaluate, roll_out
-from agents.rolling import evaluation_sim, follow
-from agents.spec import Layout, PolicySpec
+from agents.evaluation import evaluate as evaluation
+from agents.evaluation.evaluate import EvaluateArgs, env_config, evaluate, roll_out
+from agents.evaluation.follow import evaluation_sim, follow
+from agents.policy.checkpoint import save_policy
+from agents.policy.spec import Layout, PolicySpec
 from envs.config import EnvConfig
 from envs.layout import observation_layout
 from envs.objects import objects_named

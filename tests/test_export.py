@@ -13,12 +13,12 @@ import pytest
 import torch
 from helpers import swaying_clip
 
-from agents import export as export_module
 from agents.agent import Needs, PolicyAgent, new_policy
-from agents.checkpoint import save_policy
-from agents.export import ExportArgs, export, metadata
-from agents.observation_module import SparseObservation, heading
-from agents.spec import TRACKER_BLOCKS, Layout, PolicySpec
+from agents.policy import export as export_module
+from agents.policy.checkpoint import save_policy
+from agents.policy.export import ExportArgs, export, metadata
+from agents.policy.observation_module import SparseObservation, heading
+from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
 from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.layout import observation_layout, observation_size

@@ -7,9 +7,8 @@ import pytest
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from agents.kinematic.assembly import assembled
 from agents.kinematic.data import MotionBank
-from agents.kinematic.features import features
+from agents.kinematic.dragposer.assembly import assembled
 from agents.kinematic.few_rows import (
     MOST_ROWS,
     EncoderLayer,
@@ -19,7 +18,8 @@ from agents.kinematic.few_rows import (
     side_by_side,
 )
 from agents.kinematic.interface import Body, Poses
-from agents.kinematic.recurrent import RecurrentModule
+from agents.kinematic.recurrent.features import features
+from agents.kinematic.recurrent.poser import RecurrentModule
 from agents.kinematic.registry import AGENTS
 from questsim import differentiable as diff
 from questsim import rotations as rot

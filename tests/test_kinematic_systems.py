@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 import torch
 
-from agents.kinematic.constraints import joint_distance, weighted
 from agents.kinematic.data import MotionBank
-from agents.kinematic.drag_model import DragModel
-from agents.kinematic.drag_solver import LOST_FRAMES, DragPoser
-from agents.kinematic.dragposer import PAST, DragPoserModule, joints_from_root
-from agents.kinematic.features import DEVICES, features
+from agents.kinematic.dragposer.constraints import joint_distance, weighted
+from agents.kinematic.dragposer.model import DragModel
+from agents.kinematic.dragposer.networks import PAST, DragPoserModule, joints_from_root
+from agents.kinematic.dragposer.solver import LOST_FRAMES, DragPoser
 from agents.kinematic.ik import InverseKinematics
 from agents.kinematic.interface import Body, Poses, device_names
-from agents.kinematic.lgsik import group_mask
-from agents.kinematic.lstm import LstmBank
-from agents.kinematic.recurrent import RecurrentModule, RecurrentPoser
+from agents.kinematic.recurrent.features import DEVICES, features
+from agents.kinematic.recurrent.lgsik import group_mask
+from agents.kinematic.recurrent.lstm import LstmBank
+from agents.kinematic.recurrent.poser import RecurrentModule, RecurrentPoser
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.skeletal import POOLINGS, SIZES, neighbour_mask
-from agents.kinematic.sparseposer import SparsePoser, SparsePoserModule
+from agents.kinematic.sparseposer.poser import SparsePoser, SparsePoserModule
 from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.joint_sensors import readings

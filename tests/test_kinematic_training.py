@@ -10,23 +10,23 @@ import pytest
 import torch
 
 from agents import precision
-from agents.evaluation import EvaluateArgs, evaluate
+from agents.evaluation.evaluate import EvaluateArgs, evaluate
 from agents.kinematic import load_system
 from agents.kinematic.data import MotionBank, motions_record
-from agents.kinematic.features import HEAD
 from agents.kinematic.fit import Fit
 from agents.kinematic.interface import Body
 from agents.kinematic.learning import rate_at
+from agents.kinematic.recurrent.features import HEAD
 from agents.kinematic.registry import AGENTS
-from agents.kinematic.shipping import system_provenance
-from agents.kinematic.sparse_training import measure_normalisers
-from agents.kinematic.sparseposer import SparsePoserModule
+from agents.kinematic.sparseposer.poser import SparsePoserModule
+from agents.kinematic.sparseposer.training import measure_normalisers
 from agents.kinematic.store import find_system, load_module, read_system_card, save_system
-from agents.monitor import Display
 from agents.run_folder import read_run
-from agents.shipping import ShipArgs, ship
-from agents.stage import Budget, Stopper
-from agents.training import TrainArgs, train
+from agents.shipping.ship import ShipArgs, ship
+from agents.shipping.system_card import system_provenance
+from agents.training.monitor import Display
+from agents.training.stage import Budget, Stopper
+from agents.training.train import TrainArgs, train
 from questsim.errors import InputError
 from questsim.joint_sensors import readings
 from questsim.motion.library import save_library
@@ -291,7 +291,7 @@ def test_normalised_dual_quaternions_have_mean_zero_and_deviation_one():
     assert isinstance(module, SparsePoserModule)
     windows = MotionBank([MOTION], 64).fixed(16)
     measure_normalisers(module, windows)
-    from agents.kinematic.sparseposer import root_space
+    from agents.kinematic.sparseposer.poser import root_space
     from questsim import differentiable as diff
 
     dual = root_space(windows.position, diff.matrix_to_quat(windows.world))

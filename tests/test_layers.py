@@ -46,7 +46,7 @@ def test_package_imports_only_packages_below_it(package):
 
 def test_the_check_sees_every_way_to_import():
     source = """
-import agents.ppo
+import agents.training.ppo
 def f():
     from envs.core import BatchSim
     import importlib

@@ -10,11 +10,11 @@ from gymnasium import spaces
 from learners import nothing, small_ppo
 
 from agents.agent import Needs, PolicyAgent, new_policy
-from agents.buffers import TensorRolloutBuffer
-from agents.dagger import Dagger, DaggerConfig, Memory
-from agents.learner import TrainingError
-from agents.ppo import _gaussian_kl
-from agents.spec import SPARSE_BLOCKS, Layout, PolicySpec
+from agents.policy.spec import SPARSE_BLOCKS, Layout, PolicySpec
+from agents.training.buffers import TensorRolloutBuffer
+from agents.training.dagger import Dagger, DaggerConfig, Memory
+from agents.training.learner import TrainingError
+from agents.training.ppo import _gaussian_kl
 
 
 @pytest.fixture(autouse=True)

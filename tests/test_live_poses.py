@@ -12,11 +12,11 @@ import pytest
 import torch
 from helpers import swaying_clip
 
-from agents.comparison_film import over_users_floor
-from agents.comparison_run import reconstructed
-from agents.comparison_scenarios import Scenario
+from agents.comparison.film import over_users_floor
+from agents.comparison.run import reconstructed
+from agents.comparison.scenarios import Scenario
 from agents.kinematic.interface import KinematicSystem, Poses
-from agents.kinematic.recurrent import RecurrentModule
+from agents.kinematic.recurrent.poser import RecurrentModule
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import CARD_FILE, load_system, save_system
 from agents.live import watcher

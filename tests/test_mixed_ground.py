@@ -13,13 +13,13 @@ import yaml
 from helpers import swaying_clip
 from test_terrain import gliding_clip
 
-from agents import training
 from agents.agent import PolicyAgent, load_agent
-from agents.checkpoint import load_resume
-from agents.evaluation import EvaluateArgs, evaluate
-from agents.provenance import commands, options_of, stages_behind
-from agents.shipping import ShipArgs, ship
-from agents.training import TrainArgs, train
+from agents.evaluation.evaluate import EvaluateArgs, evaluate
+from agents.policy.checkpoint import load_resume
+from agents.shipping.provenance import commands, options_of, stages_behind
+from agents.shipping.ship import ShipArgs, ship
+from agents.training import train as training
+from agents.training.train import TrainArgs, train
 from envs import BatchSim, EnvConfig, Pushes, Randomisation, Terrain
 from envs.objects import WorldObject
 from envs.placement import Placement
@@ -116,7 +116,7 @@ def test_a_teacher_begun_with_a_shipped_one_is_not_mistaken_for_it(
     clips, tmp_path, monkeypatch
 ) -> None:
     weights = tmp_path / "weights"
-    monkeypatch.setattr("agents.checkpoint.SHIPPED", weights)
+    monkeypatch.setattr("agents.policy.checkpoint.SHIPPED", weights)
     train(tiny(tmp_path / "a", stage="teacher"))
     ship(ShipArgs(tmp_path / "a", "tracker", into=weights))
     monkeypatch.chdir(tmp_path)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agents.overrides import with_overrides
-from agents.presets import CPU, DaggerConfig, PPOConfig
+from agents.training.presets import CPU, DaggerConfig, PPOConfig
 from questsim.errors import InputError
 
 

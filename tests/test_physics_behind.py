@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from agents.agent import load_agent
-from agents.evaluation import EvaluateArgs, env_config, evaluate
-from agents.kinematic.catalogue import catalogue
+from agents.evaluation.evaluate import EvaluateArgs, env_config, evaluate
+from agents.evaluation.follow import evaluation_sim
 from agents.kinematic.interface import Poses
-from agents.kinematic.physics import (
+from agents.kinematic.physics_behind import (
     BEGINNING_FRAMES,
     LATENCY_FRAMES,
     TRACKER,
@@ -21,7 +21,7 @@ from agents.kinematic.physics import (
     reference_of,
     rollout_samples,
 )
-from agents.rolling import evaluation_sim
+from agents.shipping.catalogue import catalogue
 from questsim.errors import InputError
 from questsim.motion.kinematics import clip_from_qpos
 from questsim.motion.library import save_library

@@ -11,9 +11,9 @@ import yaml
 from fake_env import FakeVecEnv
 
 from agents.agent import Needs, PolicyAgent, Tracker, load_agent, new_policy
-from agents.checkpoint import load_policy, load_resume, pack, save_policy, unpack
-from agents.policy import RunningNorm, TorquePolicy
-from agents.spec import (
+from agents.policy.checkpoint import load_policy, load_resume, pack, save_policy, unpack
+from agents.policy.networks import RunningNorm, TorquePolicy
+from agents.policy.spec import (
     TRACKER_BLOCKS,
     Layout,
     PolicySpec,

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from agents.agent import PolicyAgent, new_policy
-from agents.spec import TRACKER_BLOCKS, Layout, PolicySpec
+from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
 from benchmarks.realtime import measure, numpy_forward, untrained
 from envs.config import EnvConfig
 from envs.layout import observation_layout, observation_size

@@ -8,12 +8,12 @@ import pytest
 import torch
 from helpers import swaying_clip
 
-from agents import checkpoint
 from agents.agent import Needs, new_policy
-from agents.checkpoint import save_policy
-from agents.evaluation import EvaluateArgs, evaluate
-from agents.scorecard import BARS, TRIALS, Bar, figure, format_scorecard, scorecard
-from agents.spec import SPARSE_BLOCKS, Layout, PolicySpec
+from agents.evaluation.evaluate import EvaluateArgs, evaluate
+from agents.evaluation.scorecard import BARS, TRIALS, Bar, figure, format_scorecard, scorecard
+from agents.policy import checkpoint
+from agents.policy.checkpoint import save_policy
+from agents.policy.spec import SPARSE_BLOCKS, Layout, PolicySpec
 from envs.config import EnvConfig
 from envs.layout import observation_layout
 from questsim.errors import InputError

@@ -15,8 +15,8 @@ from questsim.errors import InputError
 from questsim.motion.clip import Clip
 from questsim.motion.kinematics import link_poses, sole_positions
 from questsim.motion.spec import load_motions
-from questsim.motion.synth_pose import link_centers
-from questsim.motion.synthetic import KINDS, seated_clips, synthesise
+from questsim.motion.synthesis.pose import link_centers
+from questsim.motion.synthesis.synthetic import KINDS, seated_clips, synthesise
 from questsim.skeleton import FOOT_LINKS
 
 CLIPS = seated_clips()

@@ -11,17 +11,18 @@ import torch
 import yaml
 from rollouts import moving_clip, rollout
 
-from agents import checkpoint, shipping
 from agents.agent import Needs, PolicyAgent, Tracker, new_policy
-from agents.checkpoint import CARD_FILE, CRITIC_FILE, load_policy, save_policy
 from agents.kinematic.store import load_system, read_system_card
-from agents.licence import licence_of, strictest
-from agents.presets import PRESETS
-from agents.provenance import StagePart, _joined
+from agents.policy import checkpoint
+from agents.policy.checkpoint import CARD_FILE, CRITIC_FILE, load_policy, save_policy
+from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
 from agents.run_folder import start_run
-from agents.shipping import ShipArgs, check_name, ship
-from agents.spec import TRACKER_BLOCKS, Layout, PolicySpec
-from agents.training import TrainArgs
+from agents.shipping import ship as shipping
+from agents.shipping.licence import licence_of, strictest
+from agents.shipping.provenance import StagePart, _joined
+from agents.shipping.ship import ShipArgs, check_name, ship
+from agents.training.presets import PRESETS
+from agents.training.train import TrainArgs
 from envs.config import EnvConfig
 from envs.layout import observation_layout
 from questsim import cli
@@ -96,7 +97,7 @@ def test_best_policy_is_copied_and_loads_by_name(run, tmp_path, monkeypatch):
     assert {path.name for path in (shipped / "walker").iterdir()} == {
         "README.md", "policy.safetensors", "policy.yaml",
     }  # fmt: skip
-    monkeypatch.setattr("agents.checkpoint.SHIPPED", shipped)
+    monkeypatch.setattr("agents.policy.checkpoint.SHIPPED", shipped)
     from agents.agent import load_agent
 
     agent, trained = load_agent("walker"), load_policy(run / "student" / "best")

@@ -11,12 +11,12 @@ import torch
 import yaml
 from helpers import swaying_clip
 
-from agents import training
 from agents.agent import Tracker, load_agent
-from agents.dagger import Dagger
-from agents.ppo import AdaptivePPO
-from agents.provenance import commands, stages_behind
-from agents.training import TrainArgs, train
+from agents.shipping.provenance import commands, stages_behind
+from agents.training import train as training
+from agents.training.dagger import Dagger
+from agents.training.ppo import AdaptivePPO
+from agents.training.train import TrainArgs, train
 from envs import BatchSim, EnvConfig, QuestVecEnv, Terrain
 from questsim.errors import InputError
 from questsim.motion.clip import Clip

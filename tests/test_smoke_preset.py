@@ -6,9 +6,9 @@ import time
 from dataclasses import replace
 
 from agents.agent import load_agent
-from agents.evaluation import env_config
-from agents.rolling import choose_clips, evaluation_sim, follow
-from agents.training import TrainArgs, train
+from agents.evaluation.evaluate import env_config
+from agents.evaluation.follow import choose_clips, evaluation_sim, follow
+from agents.training.train import TrainArgs, train
 from questsim.motion.spec import load_motions
 
 

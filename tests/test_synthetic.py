@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from questsim.body import build_body
 from questsim.errors import InputError
 from questsim.motion.clip import FPS, Clip
-from questsim.motion.synthetic import KINDS, synthesise, synthetic_clips
+from questsim.motion.synthesis.synthetic import KINDS, synthesise, synthetic_clips
 from questsim.rotations import heading
 from questsim.skeleton import LINKS
 

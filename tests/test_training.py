@@ -14,17 +14,17 @@ from fake_env import FakeVecEnv
 from helpers import swaying_clip
 from learners import nothing, small_ppo
 
-from agents import training
 from agents.agent import Needs, PolicyAgent, load_agent
-from agents.checkpoint import CRITIC_FILE, load_resume
-from agents.learner import TrainingError
-from agents.monitor import Display, evaluation_figures
-from agents.presets import PRESETS, PPOConfig
-from agents.provenance import stages_behind
-from agents.rolling import Followed, choose_clips
-from agents.spec import SPARSE_BLOCKS, PolicySpec
-from agents.stage import Budget, Stage, Stopper
-from agents.training import TrainArgs, split_validation, train
+from agents.evaluation.follow import Followed, choose_clips
+from agents.policy.checkpoint import CRITIC_FILE, load_resume
+from agents.policy.spec import SPARSE_BLOCKS, PolicySpec
+from agents.shipping.provenance import stages_behind
+from agents.training import train as training
+from agents.training.learner import TrainingError
+from agents.training.monitor import Display, evaluation_figures
+from agents.training.presets import PRESETS, PPOConfig
+from agents.training.stage import Budget, Stage, Stopper
+from agents.training.train import TrainArgs, split_validation, train
 from questsim.errors import InputError
 
 

@@ -12,12 +12,12 @@ import pytest
 from test_bad_input import assert_refused, questsim
 from test_terrain import gliding_clip
 
-from agents import worlds
 from agents.agent import ZeroAgent
-from agents.evaluation import EvaluateArgs, env_config, evaluate, roll_out
-from agents.rolling import evaluation_sim
-from agents.training import TrainArgs, _outcome, train
-from agents.worlds import WORLDS, format_worlds, group_of, run_worlds
+from agents.evaluation import worlds
+from agents.evaluation.evaluate import EvaluateArgs, env_config, evaluate, roll_out
+from agents.evaluation.follow import evaluation_sim
+from agents.evaluation.worlds import WORLDS, format_worlds, group_of, run_worlds
+from agents.training.train import TrainArgs, _outcome, train
 from envs.terrain import TERRAINS, Terrain, height_field
 from questsim.cli import main
 from questsim.errors import InputError
@@ -192,7 +192,7 @@ def test_environments_are_listed_and_described(capsys) -> None:
 def test_a_policy_is_trained_further_on_a_terrain(library, tmp_path, monkeypatch) -> None:
     made = []
     monkeypatch.setattr(
-        "agents.training.evaluation_sim",
+        "agents.training.train.evaluation_sim",
         lambda clips, config, *rest, **others: (
             made.append(config) or evaluation_sim(clips, config, *rest, **others)
         ),

@@ -8,10 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from agents.comparison import chosen
-from agents.comparison_run import Job, devices_named, reconstructed, workers
-from agents.comparison_scenarios import scenarios
-from agents.kinematic.physics import on_own_body
+from agents.comparison.compare import chosen
+from agents.comparison.run import Job, devices_named, reconstructed, workers
+from agents.comparison.scenarios import scenarios
+from agents.kinematic.physics_behind import on_own_body
 from agents.kinematic.store import load_system
 from questsim.errors import InputError, at_least
 from questsim.motion.clip import Clip

@@ -14,10 +14,10 @@ import torch
 from stable_baselines3.common.logger import configure
 from torch import nn
 
-from agents.checkpoint import load_resume
 from agents.kinematic.learning import Learning, Task, rate_at
-from agents.monitor import Display
-from agents.stage import Budget, Stopper
+from agents.policy.checkpoint import load_resume
+from agents.training.monitor import Display
+from agents.training.stage import Budget, Stopper
 from questsim.errors import InputError
 
 LOG_EVERY = 20

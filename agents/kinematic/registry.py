@@ -8,12 +8,16 @@ from typing import Any
 
 from torch import nn
 
-from agents.kinematic import drag_training, dragposer, recurrent, sparse_training, sparseposer
-from agents.kinematic.drag_solver import DragPoser
-from agents.kinematic.hmdposer import HmdPoserSpec
+from agents.kinematic.dragposer import networks as dragposer
+from agents.kinematic.dragposer import training as drag_training
+from agents.kinematic.dragposer.solver import DragPoser
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.learning import Config, Learning, TaskMaker
-from agents.kinematic.lgsik import LgsikSpec
+from agents.kinematic.recurrent import poser as recurrent
+from agents.kinematic.recurrent.hmdposer import HmdPoserSpec
+from agents.kinematic.recurrent.lgsik import LgsikSpec
+from agents.kinematic.sparseposer import poser as sparseposer
+from agents.kinematic.sparseposer import training as sparse_training
 from questsim.errors import InputError
 
 

@@ -16,11 +16,11 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import nn
 
-from agents.checkpoint import RESUME_FILE, SHIPPED, pack, whole_folder
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.registry import AGENTS, Entry
 from agents.kinematic.switches import switches
 from agents.names import SYSTEM_CARD, UNTRAINED
+from agents.policy.checkpoint import RESUME_FILE, SHIPPED, pack, whole_folder
 from questsim.errors import InputError
 from questsim.joint_sensors import SENSOR_FPS
 from questsim.skeleton import JOINTS

@@ -21,7 +21,6 @@ from agents.kinematic.store import (
     read_system_card,
     save_system,
 )
-from agents.monitor import Display
 from agents.overrides import with_overrides
 from agents.run_folder import (
     RECORD,
@@ -33,12 +32,13 @@ from agents.run_folder import (
     refuse_existing,
     start_run,
 )
-from agents.stage import Budget, Stopper
+from agents.training.monitor import Display
+from agents.training.stage import Budget, Stopper
 from questsim.errors import InputError, at_least
 from questsim.motion.motion import Motion
 
 if TYPE_CHECKING:
-    from agents.training import TrainArgs
+    from agents.training.train import TrainArgs
 
 INTERRUPTED = 130
 MAY_DIFFER_ON_RESUME = {"minutes", "steps", "resume", "threads", "out", "set"}

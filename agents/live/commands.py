@@ -13,6 +13,7 @@ from typing import Annotated
 import torch
 import tyro
 
+from agents.evaluation.follow import choose_clips
 from agents.live.drivers import BASELINES, Driver, load_driver
 from agents.live.recording import record
 from agents.live.runner import Runner
@@ -21,7 +22,6 @@ from agents.live.surroundings import NOTHING, needed_thing
 from agents.live.users import Recordings
 from agents.live.watcher import Checkpoint, Watcher, first_checkpoint, load_checkpoint
 from agents.names import kinematic_systems, shipped_policies, with_physics
-from agents.rolling import choose_clips
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError, at_least
 from questsim.evaluation_report import check_writable

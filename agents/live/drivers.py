@@ -7,7 +7,7 @@ from typing import Protocol
 
 from agents.agent import Agent, Needs, PolicyAgent, load_agent
 from agents.names import shipped_policies
-from agents.spec import Layout
+from agents.policy.spec import Layout
 from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.layout import observation_layout
@@ -136,7 +136,7 @@ def load_driver(name: str, recording: Callable[[str], Motion]) -> Driver:
     if name in BASELINES or name in shipped_policies():
         return TorqueDriver(load_agent(name))
     # Not at the top: all systems are imported with these, and the page is not to wait for them.
-    from agents.kinematic.physics import TRACKER, base_of
+    from agents.kinematic.physics_behind import TRACKER, base_of
     from agents.kinematic.store import UNTRAINED, find_system, load_system
     from agents.live.physics import PhysicsDriver
     from agents.live.poses import PoseDriver

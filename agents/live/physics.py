@@ -9,7 +9,7 @@ import numpy as np
 
 from agents.agent import Agent, Needs
 from agents.kinematic.interface import Body, KinematicSystem
-from agents.kinematic.physics import begun_as, reference_of
+from agents.kinematic.physics_behind import begun_as, reference_of
 from agents.live.drivers import TorqueDriver
 from agents.live.poses import LEFT_OPEN, PoseDriver
 from envs.config import EnvConfig

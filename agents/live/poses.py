@@ -9,7 +9,7 @@ import numpy as np
 
 from agents.agent import Needs
 from agents.kinematic.interface import Body, KinematicSystem, Poses
-from agents.kinematic.physics import on_own_body
+from agents.kinematic.physics_behind import on_own_body
 from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.placement import moved, turn_quat

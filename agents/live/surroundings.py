@@ -13,7 +13,7 @@ from envs.objects import WorldObject
 from envs.terrain import RANGES, TERRAINS, Terrain
 from questsim.heightfield import HeightField
 from questsim.motion.clip import Clip
-from questsim.motion.synthetic import SEATED
+from questsim.motion.synthesis.synthetic import SEATED
 from questsim.viewing.live import Settings
 
 NOTHING = "none"

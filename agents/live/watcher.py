@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from agents.checkpoint import CARD_FILE, load_policy, read_card
 from agents.live.drivers import Driver, TorqueDriver
 from agents.live.session import DemoSession
 from agents.names import SYSTEM_CARD
+from agents.policy.checkpoint import CARD_FILE, load_policy, read_card
 from agents.run_folder import RECORD
 from questsim.errors import InputError
 from questsim.motion.motion import Motion

@@ -3,7 +3,7 @@
 import numpy as np
 
 from envs import EnvConfig, QuestVecEnv
-from questsim.motion.synthetic import synthesise
+from questsim.motion.synthesis.synthetic import synthesise
 
 
 def effort(action: np.ndarray, k: float = 20.0) -> np.ndarray:

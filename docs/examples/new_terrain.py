@@ -4,7 +4,7 @@ import numpy as np
 
 from envs import BatchSim, EnvConfig, Terrain
 from envs.terrain_kinds import SHAPES
-from questsim.motion.synthetic import synthesise
+from questsim.motion.synthesis.synthetic import synthesise
 
 
 def ridges(terrain: Terrain, x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -11,8 +11,8 @@ import json
 import sys
 from pathlib import Path
 
-from agents.comparison_report import COSTS, TABLES, Row, table
-from agents.kinematic.physics import base_of
+from agents.comparison.report import COSTS, TABLES, Row, table
+from agents.kinematic.physics_behind import base_of
 from questsim.cli import guarded
 from questsim.errors import InputError
 

@@ -180,7 +180,7 @@ def _agent(axes: Axes, agent: PolicyAgent) -> None:
     axes.set_ylim(-0.62, 0.62)
     axes.axis("off")
     kind = f"{spec.activation}, {'with' if spec.torque_head else 'without'} torque head"
-    _title(axes, "6  Agent", ("agents/policy.py", f"policy {agent.name!r}: {kind}"))
+    _title(axes, "6  Agent", ("agents/policy/networks.py", f"policy {agent.name!r}: {kind}"))
 
 
 def _torques(axes: Axes, rows: dict[str, np.ndarray]) -> None:

@@ -73,7 +73,7 @@ def add(curve: str, stage: Path, before: int = 0) -> None:
         stage: the stage's folder.
         before: steps of the training that it began with.
     """
-    from agents.checkpoint import load_resume
+    from agents.policy.checkpoint import load_resume
 
     curves = read()
     history = load_resume(stage / "last")["history"]

@@ -236,7 +236,7 @@ def _is_synthetic(part: str) -> bool:
 
 def _synthetic(part: str, seed: int) -> list[Clip]:
     """``synthetic``, or of it only the kinds in ``synthetic:KIND+KIND``."""
-    from questsim.motion.synthetic import KINDS, SEATED, seated_clips, synthetic_clips
+    from questsim.motion.synthesis.synthetic import KINDS, SEATED, seated_clips, synthetic_clips
 
     _, colon, kinds = part.partition(":")
     if not colon:

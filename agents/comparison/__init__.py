@@ -1,0 +1,1 @@
+"""All systems on the same frames: tables, figures, films, ablations."""

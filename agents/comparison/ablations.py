@@ -1,0 +1,306 @@
+"""What each part of a kinematic system is worth: the full system against variants without it.
+
+``questsim ablations --agent lgsik --motions bandai-namco-2:train --test bandai-namco-2:test
+--minutes 3 --out DIR`` trains the full system and every variant in ``VARIANTS`` with the same seed
+and the same small budget, one after the other, and scores all on the same motions as
+``agents.comparison.compare`` does. Variants that only run otherwise are the full system's weights.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import torch
+
+from agents.comparison.ablation_report import Result, table, write
+from agents.comparison.compare import chosen
+from agents.comparison.report import Row
+from agents.comparison.run import run
+from agents.comparison.scenarios import scenarios
+from agents.kinematic.data import motions_record
+from agents.kinematic.learning import Config
+from agents.kinematic.registry import AGENTS
+from agents.kinematic.store import CARD_FILE, load_system, read_system_card
+from agents.overrides import with_overrides
+from agents.run_folder import RECORD, check_same_run, read_run, refuse_existing, start_run, versions
+from agents.training.train import TrainArgs, train
+from questsim.errors import InputError, at_least
+from questsim.files import whole_file
+from questsim.motion.motion import Motion
+
+FULL = "full"
+SCORES = "scores.json"
+"""In a variant's folder: its rows. A variant that has it is done."""
+MAY_DIFFER_ON_RESUME = {"resume", "out", "threads", "variants"}
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A system without one of its parts.
+
+    Attributes:
+        name: for the table, and of its folder.
+        what: what is left out, and where the ablation is from.
+        set: values of the preset, as of ``--set``.
+        options: of ``load_system``, for a variant that is the full system's weights run otherwise.
+    """
+
+    name: str
+    what: str
+    set: tuple[str, ...] = ()
+    options: tuple[tuple[str, Any], ...] = ()
+
+
+VARIANTS: dict[str, tuple[Variant, ...]] = {
+    "sparseposer": (
+        Variant(
+            "no-learned-ik",
+            "the generator's limbs as they are (SparsePoser: without learned IK)",
+            options=(("learned_ik", False),),
+        ),
+        Variant(
+            "no-regularisation",
+            "lambda 0 in learned IK's loss: limbs may leave the generator's pose (SparsePoser)",
+            set=("stages.ik.weights.keep=0",),
+        ),
+        Variant(
+            "no-skeleton",
+            "plain convolutions and products in place of skeletal ones, pooling and unpooling "
+            "(SparsePoser: without skeletal operations)",
+            set=("spec.skeletal=false",),
+        ),
+    ),
+    "dragposer": (
+        Variant(
+            "no-continuity",
+            "no continuity loss in the autoencoder's training (DragPoser)",
+            set=("stages.vae.weights.continuity=0",),
+        ),
+        Variant(
+            "no-predictor",
+            "the last latent is expected again, not what the temporal predictor says (DragPoser)",
+            options=(("predictor", False),),
+        ),
+    ),
+    "hmdposer": (
+        Variant(
+            "no-hands-in-head",
+            "no tokens of the hands as seen from the head (HMD-Poser)",
+            set=("spec.hands_in_head=false",),
+        ),
+        Variant(
+            "no-shape-head",
+            "bones are not estimated: everybody has the mean body (HMD-Poser)",
+            set=("spec.shape_head=false",),
+        ),
+    ),
+    "lgsik": (
+        Variant(
+            "no-graph",
+            "no graph convolutions: the six parts go on alone (LGSIK-Poser)",
+            set=("spec.graph=false",),
+        ),
+        Variant(
+            "no-ik-heads",
+            "one plain head for all joints in place of the parts' IK heads (LGSIK-Poser)",
+            set=("spec.ik_heads=false",),
+        ),
+        Variant(
+            "no-shape-group",
+            "measurements are not read; bones are estimated from motion alone (LGSIK-Poser)",
+            set=("spec.shape_group=false",),
+        ),
+        Variant(
+            "hmdposer-loss",
+            "trained by HMD-Poser's loss in place of its own (LGSIK-Poser)",
+            set=("spec.loss=hmdposer",),
+        ),
+    ),
+}
+"""Each paper's own ablations, by agent."""
+
+_HMD = ("HMD", "HMD+3IMU")
+SCENARIOS: dict[str, tuple[str, ...]] = {
+    "sparseposer": ("6",), "dragposer": ("6",), "hmdposer": _HMD, "lgsik": _HMD,
+}  # fmt: skip
+"""What systems are given, among the comparison's scenarios."""
+
+
+@dataclass(frozen=True)
+class AblationsArgs:
+    """Train a kinematic system and its variants without one part each, and compare them."""
+
+    agent: str = ""
+    """sparseposer, dragposer, hmdposer or lgsik."""
+    motions: str = "synthetic"
+    """What to learn: synthetic, a dataset (bandai-namco-2:train), a library, file or folder."""
+    test: str = "synthetic"
+    """What to reconstruct; not what is learnt."""
+    out: Path | None = None
+    """Folder of the table and, in one folder each, of the runs."""
+    minutes: float | None = None
+    """Time for each training."""
+    steps: int | None = None
+    """Gradient steps of each stage of each training, instead of or beside --minutes."""
+    preset: Literal["cpu", "paper", "smoke"] = "cpu"
+    """Sizes and learning, as of train.py."""
+    variants: tuple[str, ...] = ()
+    """Some of the variants alone; by default all."""
+    max_clips: int | None = None
+    """At most so many motions to reconstruct, of all kinds."""
+    resume: bool = False
+    """Go on in --out; what is done is not done again."""
+    threads: int = 2
+    """Threads of the networks."""
+    seed: int = 0
+    """Of everything that is random, the same for all."""
+    set: tuple[str, ...] = ()
+    """Values of the preset to change for all, e.g. stages.network.batch=16."""
+
+
+def ablations(args: AblationsArgs) -> int:
+    """Train, score and write the table; returns the exit code.
+
+    Raises:
+        InputError: for options, motions or a folder that cannot be used.
+    """
+    from questsim.motion.spec import load_recordings
+
+    out, variants = _checked(args)
+    motions = chosen(load_recordings(args.test, seed=args.seed), args.max_clips)
+    data = motions_record(args.test, motions)
+    there = out.exists()
+    if args.resume:
+        check_same_run(read_run(out), args, data, MAY_DIFFER_ON_RESUME, out)
+    else:
+        start_run(out, args, AGENTS[args.agent].presets[args.preset], data)
+    results = []
+    for variant in variants:
+        folder = out / variant.name
+        if not (folder / SCORES).exists():
+            try:
+                code = 0 if variant.options else _train(args, variant, folder)
+            except InputError:
+                _leave_nothing(out, there)
+                raise
+            if code:
+                print(f"stopped; go on with the same command and --resume, --out {out}")
+                return code
+            torch.set_num_threads(args.threads)
+            _score(args, variant, out, motions)
+        results.append(_result(variant, out))
+    context = {
+        "agent": args.agent,
+        "preset": args.preset,
+        "motions": args.motions,
+        "minutes": args.minutes,
+        "steps": args.steps,
+        "set": list(args.set),
+        "data": data,
+        "versions": versions(),
+        "threads": args.threads,
+        "seed": args.seed,
+    }
+    write(results, context, out)
+    print(table(results, args.agent, "pooled"))
+    print(f"written to {out}")
+    return 0
+
+
+def _checked(args: AblationsArgs) -> tuple[Path, list[Variant]]:
+    """The folder, and the full system with the variants that are asked for."""
+    if args.agent not in VARIANTS:
+        raise InputError(
+            f"there are no ablations of {args.agent!r}", "--agent", f"use {', '.join(VARIANTS)}"
+        )
+    if args.out is None:
+        raise InputError("names no folder", "--out", "add --out DIR")
+    if args.minutes is None and args.steps is None:
+        raise InputError("ablations need a budget", "--minutes", "e.g. --minutes 3, or --steps")
+    if args.minutes is not None and not args.minutes > 0:
+        raise InputError(f"is {args.minutes:g}, not above 0", "--minutes")
+    at_least(1, steps=args.steps, threads=args.threads, max_clips=args.max_clips)
+    at_least(0, seed=args.seed)
+    known = {variant.name: variant for variant in VARIANTS[args.agent]}
+    for name in args.variants:
+        if name not in known:
+            raise InputError(f"there is no {name!r}", "--variants", f"known: {', '.join(known)}")
+    if not args.resume:
+        refuse_existing(args.out)
+    full = Variant(FULL, "the whole system")
+    variants = [full, *(v for v in known.values() if not args.variants or v.name in args.variants)]
+    for variant in variants:
+        _config(args, variant)
+    return args.out, variants
+
+
+def _config(args: AblationsArgs, variant: Variant) -> Config:
+    """The variant's preset.
+
+    Raises:
+        InputError: a value of ``--set`` does not fit.
+    """
+    return with_overrides(AGENTS[args.agent].presets[args.preset], (*args.set, *variant.set))
+
+
+def _train(args: AblationsArgs, variant: Variant, folder: Path) -> int:
+    print(f"{variant.name}: {variant.what}")
+    return train(
+        TrainArgs(
+            out=folder,
+            agent=cast(Any, args.agent),
+            motions=args.motions,
+            preset=args.preset,
+            minutes=args.minutes,
+            steps=args.steps,
+            resume=(folder / RECORD).exists(),
+            threads=args.threads,
+            seed=args.seed,
+            set=(*args.set, *variant.set),
+        )
+    )
+
+
+def _leave_nothing(out: Path, there: bool) -> None:
+    """Remove a record that nothing was trained for yet, so that the command can be mended."""
+    if [path.name for path in out.iterdir()] == [RECORD]:
+        (out / RECORD).unlink()
+        if not there:
+            out.rmdir()
+
+
+def _score(args: AblationsArgs, variant: Variant, out: Path, motions: Sequence[Motion]) -> None:
+    """Reconstruct all motions and write the rows into the variant's folder."""
+    weights = str(out / (FULL if variant.options else variant.name))
+    rows = []
+    for scenario in scenarios(load_system(weights)):
+        if scenario.name in SCENARIOS[args.agent]:
+            given = replace(scenario, options=(*scenario.options, *variant.options))
+            rows.append(replace(run(weights, given, motions, args.seed), agent=variant.name))
+    folder = out / variant.name
+    folder.mkdir(exist_ok=True)
+    with whole_file(folder / SCORES) as path:
+        path.write_text(json.dumps([vars(row) for row in rows], indent=1) + "\n", encoding="utf-8")
+
+
+def _result(variant: Variant, out: Path) -> Result:
+    """What was written by ``_score`` and by the training.
+
+    Raises:
+        InputError: the scores are damaged.
+    """
+    path = out / variant.name / SCORES
+    try:
+        rows = [Row(**row) for row in json.loads(path.read_text(encoding="utf-8"))]
+    except (ValueError, TypeError) as error:
+        raise InputError("is damaged", path, "remove it and resume") from error
+    run_folder = out / (FULL if variant.options else variant.name)
+    training = {}
+    for card in sorted(run_folder.glob(f"*/last/{CARD_FILE}")):
+        told = read_system_card(card.parent)["training"]
+        training[told["stage"]] = {"steps": told["steps"], "minutes": told["minutes"]}
+    return Result(variant.name, variant.what, variant.set, dict(variant.options), training, rows)

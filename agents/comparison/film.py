@@ -1,0 +1,384 @@
+"""The film of a comparison: the user and every agent side by side, at the same moment.
+
+Poses of kinematic systems are shown on the avatar, in the world where the system has them, over
+the floor that the user stands on: what floats, sinks or skates is seen to. An avatar that is lost
+leaves the picture. Each figure is named, and has its mean joint error below it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from agents.agent import load_agent
+from agents.comparison.plots import KINDS
+from agents.comparison.run import is_policy, reconstructed, suiting
+from agents.comparison.scenarios import Scenario
+from agents.evaluation.evaluate import env_config, roll_out
+from agents.kinematic.interface import Poses
+from agents.kinematic.physics_behind import (
+    base_of,
+    follow_poses,
+    on_own_body,
+    performed,
+    reference_of,
+)
+from questsim.body import DEFAULT_HEIGHT_M
+from questsim.files import whole_file
+from questsim.joint_sensors import SENSOR_FPS
+from questsim.metrics_terms import mpjpe_cm
+from questsim.motion.clip import FPS, Clip
+from questsim.motion.kinematics import clip_from_qpos
+from questsim.motion.motion import Motion
+from questsim.motion.retarget import to_clip
+from questsim.plots import GREEN
+from questsim.sensors import SENSOR_SETS
+from questsim.skeleton import JOINTS, LINKS
+from questsim.viewing.camera import Camera, follow, three_quarter_azimuth
+from questsim.viewing.captions import Label, caption, labelled
+from questsim.viewing.costume import AVATAR, REFERENCE, Look
+from questsim.viewing.films import named, one_of_each_kind, title
+from questsim.viewing.gl import NoGLError, find_gl, missing_gl
+from questsim.viewing.outline import outline_points
+from questsim.viewing.render import Figure, SceneRenderer
+from questsim.viewing.video import palette, write_video
+
+VIDEO, SHEET = "comparison.mp4", "comparison.png"
+FILES: tuple[str, ...] = (VIDEO, SHEET)
+"""What ``film`` writes."""
+CLIPS = 4
+"""Clips that are filmed where none are named: of different kinds."""
+MAX_SECONDS, HOLD_S = 10.0, 0.7
+"""The longest that a clip plays, and how long its last picture stays."""
+STRIDE = 2
+"""Every second frame is filmed."""
+MOMENTS = (0.3, 0.7)
+"""Where in a clip the sheet's pictures are taken, as shares of its length."""
+FOVY_DEG = 13.0
+"""A long lens: everybody is seen from nearly the same side."""
+GHOST_OPACITY = 0.4
+BEHIND_M = 0.12
+"""The ghost is so far behind its figure on the line of sight: it is seen where they differ."""
+_COLOURS: dict[str, str] = {**KINDS, "policy": GREEN}  # blue is the user
+_LABEL_SHARE, _TITLE_SHARE = 0.2, 0.08  # of a picture's height, kept free below and above
+_FREE_SHARE = 1.0 - _LABEL_SHARE - _TITLE_SHARE
+_HIDDEN = np.array([0.0, 0.0, -50.0])  # metres
+_SHEET_SCALE = 0.75
+_SHEET_COLOURS = 128
+
+
+@dataclass(frozen=True)
+class Size:
+    """Of pictures in pixels.
+
+    Attributes:
+        figure: width that one figure has.
+        height: of a picture.
+        least, most: width of a picture.
+    """
+
+    figure: int = 200
+    height: int = 440
+    least: int = 640
+    most: int = 1920
+
+    def scaled(self, by: float) -> Size:
+        """The same shape, larger or smaller."""
+        return Size(*(round(by * pixels) for pixels in vars(self).values()))
+
+    def width(self, figures: int) -> int:
+        """Of a picture of so many figures."""
+        return min(max(self.figure * figures, self.least), self.most) // 2 * 2
+
+
+SIZE = Size()
+
+
+@dataclass(frozen=True)
+class Part:
+    """One figure in one clip.
+
+    Attributes:
+        name, told: of the agent, and of what it reads.
+        kind: of ``KINDS``; empty for the user.
+        clip: what it does; shorter than the user's where it was lost.
+    """
+
+    name: str
+    told: str
+    kind: str
+    clip: Clip
+
+
+def film(
+    agents: Sequence[str],
+    motions: Sequence[Motion],
+    out: Path,
+    threads: int,
+) -> None:
+    """Write ``FILES``, or say in one line why not.
+
+    Args:
+        agents: as in ``comparison.compare``.
+        motions: at 60 Hz, one after the other.
+        out: the folder.
+        threads: of the physics.
+    """
+    if not find_gl():
+        print(f"video skipped: {missing_gl()}", file=sys.stderr)
+        return
+    parts = [parts_of(agent, motions, threads) for agent in agents]
+    scenes = [
+        Scene([_user(motion), *(of_clip[i] for of_clip in parts)], SIZE)
+        for i, motion in enumerate(motions)
+    ]
+    try:
+        write_video(out / VIDEO, chain.from_iterable(map(pictures, scenes)), FPS / STRIDE)
+        with whole_file(out / SHEET) as path:
+            sheet(scenes).save(path, "PNG", optimize=True)
+    except NoGLError as error:
+        print(f"video skipped: {error}", file=sys.stderr)
+        return
+    print(f"written to {out / VIDEO} and {out / SHEET}")
+
+
+def to_be_filmed(motions: Sequence[Motion], names: Sequence[str]) -> list[Motion]:
+    """The motions of those names, or ``CLIPS`` of all kinds, at 60 Hz.
+
+    Raises:
+        InputError: there is no clip of a name.
+    """
+    if names:
+        found = named(motions, names, "--video-clips")
+    else:
+        found = one_of_each_kind(motions, CLIPS)
+    return [motion.resampled(SENSOR_FPS) for motion in found]
+
+
+# -- who does what -----------------------------------------------------------------------------
+
+
+def _user(motion: Motion) -> Part:
+    return Part("user", "the motion itself", "", to_clip(motion))
+
+
+def parts_of(agent: str, motions: Sequence[Motion], threads: int) -> list[Part]:
+    """What an agent does in each of the motions, in one scenario: see ``_shown``."""
+    kinematic, physics, policy = KINDS
+    if is_policy(agent):
+        loaded = load_agent(agent)
+        clips = [to_clip(motion) for motion in motions]
+        rollouts = roll_out(loaded, clips, env_config(loaded), threads)
+        told = _told(SENSOR_SETS[loaded.needs.sensors])
+        return [Part(agent, told, policy, performed(rollout)) for rollout in rollouts]
+    scenario = _shown(suiting(agent, None))
+    poses = [reconstructed((base_of(agent) or agent, scenario, motion, 0)) for motion in motions]
+    told, pairs = _told(scenario.devices), list(zip(poses, motions, strict=True))
+    if base_of(agent) is None:
+        return [Part(agent, told, kinematic, over_users_floor(p, m)) for p, m in pairs]
+    rollouts = follow_poses([reference_of(p, m) for p, m in pairs], motions, threads)
+    return [Part(agent, told, physics, performed(rollout)) for rollout in rollouts]
+
+
+def over_users_floor(poses: Poses, motion: Motion) -> Clip:
+    """Poses on the avatar over the floor that the user stands on.
+
+    Retargeting puts the floor where a motion's soles are, so an estimate that floats would stand.
+    The avatar's root is that of the motion times the ratio of leg lengths, moved by a constant:
+    here it becomes the constant of the user's own motion.
+    """
+    estimate = on_own_body(poses, motion)
+    clip, user = to_clip(estimate), to_clip(motion)
+    leg = [LINKS.index(link) for link in ("left_thigh", "left_shin", "left_foot")]
+    ratio = np.linalg.norm(np.diff(user.link_position[0, leg], axis=0), axis=-1).sum()
+    bones = motion.offsets[[JOINTS.index("left_knee"), JOINTS.index("left_ankle")]]
+    ratio /= np.linalg.norm(bones, axis=-1).sum()
+    apart = float(_hips(estimate) - _hips(motion))
+    qpos = clip.qpos.copy()
+    qpos[:, 2] += user.qpos[0, 2] + ratio * apart - clip.qpos[0, 2]
+    return clip_from_qpos(clip.name, qpos, clip.height_m, kind=clip.kind, style=clip.style)
+
+
+def _hips(motion: Motion) -> float:
+    """Height of the middle of the hips in the first frame."""
+    hips = [JOINTS.index("left_hip"), JOINTS.index("right_hip")]
+    return motion.forward_kinematics()[0][0, hips, 2].mean()
+
+
+def _shown(found: Sequence[Scenario]) -> Scenario:
+    """That of six trackers, or the first."""
+    return next((scenario for scenario in found if scenario.name == "6"), found[0])
+
+
+def _told(devices: Sequence[str]) -> str:
+    """Devices in a few words."""
+    kinds = [device.split("_")[-1] for device in devices]
+    imus, trackers = kinds.count("imu"), kinds.count("tracker")
+    if trackers:
+        return f"{len(kinds) - imus} trackers"
+    words = ["headset"] if "headset" in kinds else []
+    words += ["controllers"] if "controller" in kinds else []
+    return " + ".join(words + ([f"{imus} IMUs"] if imus else []))
+
+
+# -- pictures ----------------------------------------------------------------------------------
+
+
+class Scene:
+    """Figures side by side in one clip.
+
+    Args:
+        parts: the user first.
+        size: of the pictures.
+    """
+
+    def __init__(self, parts: Sequence[Part], size: Size) -> None:
+        self.parts, self.size = parts, size
+        self.user = parts[0].clip
+        self.frames = min(len(self.user), round(MAX_SECONDS * FPS))
+        self.width = size.width(len(parts))
+        azimuth = three_quarter_azimuth(self.user.qpos[: self.frames, 3:7])
+        right = Camera(np.zeros(3), 1.0, azimuth).axes()[0]
+        self.offsets = np.arange(len(parts))[:, None] * self._spacing(right) * right
+        self.cameras = self._cameras(azimuth)
+        self.errors_cm = [self._errors(part.clip) for part in parts]
+
+    def _spacing(self, right: np.ndarray) -> float:
+        """Metres between two figures: what the widest pose takes, or the picture has room for."""
+        clip = self.user
+        points = outline_points(clip.link_position, clip.link_quat, clip.height_m)[: self.frames]
+        across = (points - clip.qpos[: self.frames, None, :3]) @ right
+        ratio = clip.height_m / DEFAULT_HEIGHT_M
+        needed = np.clip(across.max() - across.min() + 0.1, 0.75 * ratio, 1.5 * ratio)
+        high = (points[..., 2].max() - points[..., 2].min()) / _FREE_SHARE
+        room = high * self.width / self.size.height / len(self.parts)
+        return float(max(needed, room))
+
+    def _cameras(self, azimuth: float) -> list[Camera]:
+        """Everybody is in the picture, above the labels; the lost no more."""
+        user, height = self.user, self.user.height_m
+        points = []
+        for part, offset in zip(self.parts, self.offsets, strict=True):
+            there = len(part.clip)
+            position = np.concatenate([part.clip.link_position, user.link_position[there:]])
+            quat = np.concatenate([part.clip.link_quat, user.link_quat[there:]])
+            points.append(outline_points(position, quat, height)[: self.frames] + offset)
+        cameras = follow(
+            np.concatenate(points, axis=1),
+            user.qpos[: self.frames, :3] + self.offsets.mean(axis=0),
+            azimuth,
+            self.width / (self.size.height * _FREE_SHARE),
+            smoothing_frames=0.5 * FPS,
+            margin=0.96 * _FREE_SHARE,
+            fovy_deg=FOVY_DEG,
+        )
+        # The middle of what is free is not that of the picture.
+        down = (_LABEL_SHARE - _TITLE_SHARE) * np.tan(np.radians(FOVY_DEG) / 2.0)
+        return [replace(c, lookat=c.lookat - [0.0, 0.0, down * c.distance]) for c in cameras]
+
+    def _errors(self, clip: Clip) -> np.ndarray:
+        return mpjpe_cm(clip.link_position, self.user.link_position[: len(clip)])
+
+    def figures(self) -> list[Figure]:
+        """The user, then each agent and the user's ghost."""
+        height = self.user.height_m
+        ghost = Figure(height, REFERENCE.faded(GHOST_OPACITY), devices=False)
+        figures = [Figure(height, REFERENCE)]
+        for part in self.parts[1:]:
+            figures += [Figure(height, _look(part.kind), devices=False), ghost]
+        return figures
+
+    def poses(self, frame: int) -> list[np.ndarray]:
+        """``qpos`` of ``figures``; the lost are out of sight."""
+        user, behind = self.user.qpos[frame], BEHIND_M * self.cameras[frame].axes()[2]
+        poses = [_moved(user, self.offsets[0])]
+        for part, offset in zip(self.parts[1:], self.offsets[1:], strict=True):
+            lost = frame >= len(part.clip)
+            own = _moved(user, _HIDDEN) if lost else part.clip.qpos[frame]
+            poses.append(_moved(own, offset))
+            poses.append(_moved(user, offset if lost else offset + behind))
+        return poses
+
+    def labels(self, frame: int) -> list[Label]:
+        """Names and errors, each below its figure."""
+        camera = self.cameras[frame]
+        places = camera.lookat + self.offsets - self.offsets.mean(axis=0)
+        across = camera.project(places, self.width, self.size.height)[:, 0]
+        labels = []
+        for x, part, errors in zip(across, self.parts, self.errors_cm, strict=True):
+            lost = frame >= len(errors)
+            state = f"lost at {len(errors) / FPS:.1f} s" if lost else f"{errors[frame]:.1f} cm"
+            lines = (Path(part.name).name, part.told, state if part.kind else "")
+            labels.append(Label(x, lines, _colour(part.kind), lost))
+        return labels
+
+
+def _moved(qpos: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    moved = qpos.copy()
+    moved[:3] += offset
+    return moved
+
+
+def _colour(kind: str) -> tuple[int, int, int]:
+    if not kind:
+        red, green, blue = (round(255 * part) for part in REFERENCE.shirt[:3])
+        return red, green, blue
+    red, green, blue = (int(_COLOURS[kind][i : i + 2], 16) for i in (1, 3, 5))
+    return red, green, blue
+
+
+def _look(kind: str) -> Look:
+    red, green, blue = (part / 255.0 for part in _colour(kind))
+    return replace(AVATAR, shirt=(red, green, blue, 1.0))
+
+
+def _picture(renderer: SceneRenderer, scene: Scene, frame: int) -> np.ndarray:
+    return _captioned(renderer.render(scene.poses(frame), scene.cameras[frame]), scene, frame)
+
+
+def _captioned(picture: np.ndarray, scene: Scene, frame: int) -> np.ndarray:
+    size = max(9, round(scene.size.height / 28))
+    time = f"{frame / FPS:.1f} s"
+    picture = caption(picture, {"top left": title(scene.user), "top right": time}, size=size)
+    labels = scene.labels(frame)
+    width = 0.96 * min(labels[1].x - labels[0].x, scene.width / len(labels))
+    return labelled(picture, labels, width, size)
+
+
+def _renderer(scene: Scene) -> SceneRenderer:
+    reach = float(np.linalg.norm(scene.offsets[-1])) / 2.0 + 1.5
+    return SceneRenderer(scene.figures(), scene.width, scene.size.height, reach_m=reach)
+
+
+def pictures(scene: Scene) -> Iterator[np.ndarray]:
+    """The film of one clip: pictures ``(height, width, 3)`` at ``FPS / STRIDE``."""
+    with _renderer(scene) as renderer:
+        picture = None
+        for frame in range(0, scene.frames, STRIDE):
+            picture = _picture(renderer, scene, frame)
+            yield picture
+    for _ in range(round(HOLD_S * FPS / STRIDE)):
+        assert picture is not None
+        yield picture
+
+
+def sheet(scenes: Sequence[Scene]) -> Image.Image:
+    """A few moments of each clip, one below the other, smaller than in the film."""
+    rows = []
+    for scene in scenes:
+        small = Scene(scene.parts, scene.size.scaled(_SHEET_SCALE))
+        with _renderer(scene) as renderer:
+            for share in MOMENTS:
+                frame = round(share * (scene.frames - 1))
+                picture = renderer.render(scene.poses(frame), scene.cameras[frame])
+                # Reduced, for smooth shadows, before there is text on it.
+                reduced = Image.fromarray(picture).resize((small.width, small.size.height))
+                rows.append(_captioned(np.asarray(reduced), small, frame))
+    page = Image.fromarray(np.concatenate(rows))
+    return page.quantize(palette=palette(page, _SHEET_COLOURS), dither=Image.Dither.NONE)

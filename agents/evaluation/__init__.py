@@ -1,0 +1,19 @@
+"""Following clips and scoring how well it went.
+
+Public names are imported when they are first used, so that a submodule is imported alone.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from agents.evaluation.evaluate import EvaluateArgs, evaluate
+
+_HOMES = {"EvaluateArgs": "agents.evaluation.evaluate", "evaluate": "agents.evaluation.evaluate"}
+__all__ = ["EvaluateArgs", "evaluate"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)

@@ -1,0 +1,194 @@
+"""How good the shipped policies are: every bar of the project in one table, by one command."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from agents.agent import load_agent
+from agents.evaluation.evaluate import env_config, evaluation_context, roll_out
+from agents.evaluation.follow import choose_clips
+from questsim.evaluation_report import LABELS, write_report
+from questsim.files import whole_file
+
+SCORECARD_FILE = "scorecard.json"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One evaluation of the scorecard.
+
+    Attributes:
+        suffix: of the agent's name: other sensors are other policies.
+        height_m: stature that avatar and clips are scaled to; None for the clips' own.
+        says: what it is, for people.
+    """
+
+    suffix: str = ""
+    height_m: float | None = None
+    says: str = ""
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A figure, what it must reach, and what is hoped for.
+
+    Attributes:
+        trial: name in ``TRIALS``.
+        metric: key of the report; ``success`` is of all clips, the others of those completed.
+        bar, goal: in the metric's unit, success in percent.
+    """
+
+    trial: str
+    metric: str
+    bar: float
+    goal: float
+
+    def reached(self, value: float | None, limit: float) -> bool:
+        """Whether a figure is on the good side of a limit."""
+        if value is None:
+            return False
+        return value >= limit if self.metric == "success" else value <= limit
+
+
+TRIALS: dict[str, Trial] = {
+    "h2c": Trial(says="headset and controllers"),
+    "headset": Trial("-headset", says="headset only"),
+    "now": Trial("-now", says="headset and controllers, no future frames"),
+    "short": Trial(height_m=1.45, says="headset and controllers, 1.45 m"),
+    "tall": Trial(height_m=1.95, says="headset and controllers, 1.95 m"),
+}
+
+BARS: tuple[Bar, ...] = (
+    Bar("h2c", "success", 95.0, 99.0),
+    Bar("h2c", "mpjpe_cm", 4.0, 3.0),
+    Bar("h2c", "mpjre_deg", 8.0, 5.7),
+    Bar("h2c", "root_cm", 3.0, 1.8),
+    Bar("h2c", "sip_deg", 12.3, 10.0),
+    Bar("h2c", "jitter_km_s3", 0.5, 0.3),
+    Bar("h2c", "mhpe_cm", 5.0, 3.7),
+    Bar("h2c", "mhre_deg", 10.0, 8.4),
+    Bar("headset", "success", 85.0, 95.0),
+    Bar("now", "success", 85.0, 95.0),
+    Bar("short", "success", 90.0, 97.0),
+    Bar("tall", "success", 90.0, 97.0),
+)
+"""What the project set itself to reach on bandai-namco-2:test; the goals are mostly QuestSim's."""
+
+
+def scorecard(
+    agent: str, motions: str, out: Path | None, max_clips: int | None, threads: int
+) -> dict[str, Any]:
+    """Evaluate a policy and its variants, and hold the figures against the bars.
+
+    Args:
+        agent: name of a shipped policy, which others with the suffixes of ``TRIALS`` stand beside.
+        motions: what to follow; of a test split, the training split is followed too.
+        out: folder for ``scorecard.json`` and a report of each trial in a folder of its name.
+        max_clips: follow only this many clips.
+        threads: of the physics.
+
+    Returns:
+        What ``scorecard.json`` holds.
+
+    Raises:
+        InputError: one of the policies or the motions is not there.
+    """
+    from questsim.motion.spec import load_motions
+
+    agents = {name: load_agent(agent + trial.suffix) for name, trial in TRIALS.items()}
+    clips = load_motions(motions)
+    if max_clips is not None:
+        clips = choose_clips(clips, max_clips)
+    sets = {name: (motions, clips, trial) for name, trial in TRIALS.items()}
+    dataset, _, split = motions.partition(":")
+    if split == "test":
+        learnt = choose_clips(load_motions(f"{dataset}:train"), len(clips))
+        sets["train"] = (f"{dataset}:train", learnt, TRIALS["h2c"])
+        agents["train"] = agents["h2c"]
+    figures = {}
+    for name, (spec, followed, trial) in sets.items():
+        config = env_config(agents[name], height_m=trial.height_m)
+        rollouts = roll_out(agents[name], followed, config, threads)
+        context = evaluation_context(
+            agent + trial.suffix, agents[name], spec, followed, config, threads
+        )
+        figures[name] = _report(rollouts, context, out / name if out else None)
+    card = {"agent": agent, "motions": motions, "rows": _rows(figures), "trials": figures}
+    if out is not None:
+        with whole_file(out / SCORECARD_FILE) as path:
+            path.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
+    return card
+
+
+def _report(rollouts: list[Any], context: dict[str, Any], out: Path | None) -> dict[str, Any]:
+    """The figures of one trial, and its full report if there is a folder for it."""
+    from questsim.metrics import evaluate
+
+    metrics = evaluate(rollouts) if out is None else write_report(rollouts, out, context)
+    return {key: metrics[key] for key in ("all", "completed", "by_kind", "by_style")}
+
+
+def _rows(figures: Mapping[str, Any]) -> list[dict[str, Any]]:
+    rows = []
+    for bar in BARS:
+        value = figure(figures[bar.trial], bar.metric)
+        rows.append(
+            asdict(bar)
+            | {
+                "value": value,
+                "bar_reached": bar.reached(value, bar.bar),
+                "goal_reached": bar.reached(value, bar.goal),
+            }
+        )
+    return rows
+
+
+def figure(metrics: Mapping[str, Any], metric: str) -> float | None:
+    """A figure as the bars mean it: success of all clips in percent, others of the completed."""
+    value = metrics["all" if metric == "success" else "completed"][metric]
+    return 100.0 * value if metric == "success" and value is not None else value
+
+
+def format_scorecard(card: Mapping[str, Any], width: int = 100) -> str:
+    """The scorecard as text for a terminal; after it, training clips beside test clips.
+
+    Args:
+        card: from ``scorecard``.
+        width: columns of the terminal.
+    """
+    table = Table(title=f"{card['agent']} on {card['motions']}", title_justify="left")
+    for column in ("", "figure", "value", "bar", "goal", "reached"):
+        table.add_column(column, justify="right" if column in ("value", "bar", "goal") else "left")
+    for row in card["rows"]:
+        reached = "goal" if row["goal_reached"] else "bar" if row["bar_reached"] else "no"
+        table.add_row(
+            TRIALS[row["trial"]].says,
+            LABELS[row["metric"]],
+            *("-" if row[key] is None else f"{row[key]:.2f}" for key in ("value", "bar", "goal")),
+            reached,
+        )
+    console = Console(file=io.StringIO(), width=width, color_system=None, markup=False)
+    console.print(table)
+    if "train" in card["trials"]:
+        console.print(_gap(card["trials"]))
+    lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _gap(trials: Mapping[str, Any]) -> Table:
+    """Training clips beside test clips: what is learnt by heart shows as a difference."""
+    table = Table(title="Clips it learnt from and clips no stage saw", title_justify="left")
+    for column in ("figure", "train", "test"):
+        table.add_column(column, justify="left" if column == "figure" else "right")
+    for metric in dict.fromkeys(bar.metric for bar in BARS):
+        values = (figure(trials[name], metric) for name in ("train", "h2c"))
+        table.add_row(LABELS[metric], *("-" if v is None else f"{v:.2f}" for v in values))
+    return table

@@ -1,0 +1,322 @@
+"""The worlds table: one agent, unchanged sensors, in worlds that its user does not have.
+
+Avatars have the clips' own statures, but in the row about other heights: there clips, and so the
+devices, are scaled to the avatar, which makes the user's own height cancel out.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.agent import Agent
+from agents.evaluation.follow import choose_clips, evaluation_sim, follow
+from agents.run_folder import plain
+from envs.config import EnvConfig
+from envs.core import BatchSim
+from envs.objects import WorldObject
+from envs.pushes import Pushes
+from envs.terrain import Terrain
+from questsim.errors import InputError
+from questsim.files import whole_file
+from questsim.motion.clip import FPS, Clip
+
+SCHEMA, SCHEMA_VERSION = "questsim-worlds", 1
+UP_SHARE = 0.5
+"""Somebody is up whose pelvis is higher above the ground than this share of the reference's."""
+BALL_MOVED_M = 0.1
+RECOVERY_S = 3.0
+_BATCH_CLIPS = 160
+_SPEED_ENVS, _SPEED_STEPS = 64, 40
+_NEVER_LOST_M = 1e6
+PUSH = Pushes(force_n=(100.0, 100.0), duration_s=(0.2, 0.2), pause_s=(1.0, 1.0), count=1)
+_PUSH_END_S = PUSH.pause_s[1] + PUSH.duration_s[1]
+BALL = WorldObject("ball", ahead_s=(1.5, 2.5), aside_m=(0.1, 0.1))
+"""A foot's breadth beside the middle of the path, where a foot comes by."""
+
+
+@dataclass(frozen=True)
+class World:
+    """A row of the table: one or several settings, and the success that is asked for.
+
+    Attributes:
+        name: key in ``worlds.json``.
+        label: for the table.
+        bar: least success; None for a row to compare with.
+        settings: changes of the config by name; a row's success is over all clips of all of them.
+        walking: only clips of walking, instead of walking, turning, running and gestures.
+        success: ``"follow"``: mean link error within the config's limit to the clip's end;
+            ``"up"``: still up ``RECOVERY_S`` after the push; ``"ball"``: the ball was moved and
+            the avatar is up at the end.
+    """
+
+    name: str
+    label: str
+    bar: float | None
+    settings: dict[str, dict[str, Any]]
+    walking: bool = False
+    success: str = "follow"
+
+
+def _heights(*metres: float) -> dict[str, dict[str, Any]]:
+    return {f"{height:.2f} m": {"heights": (height, height)} for height in metres}
+
+
+WORLDS: tuple[World, ...] = (
+    World("flat", "flat ground, to compare", None, {"flat": {}}),
+    World("rough_4cm", "rough ground, ±4 cm at 0.5 m", 0.90, {"rough": {"terrain": Terrain()}}),
+    World(
+        "rough_8cm",
+        "rough ground, ±8 cm at 0.5 m",
+        0.75,
+        {"rough": {"terrain": Terrain(amplitude_m=0.08)}},
+    ),
+    World(
+        "slope_8deg",
+        "slopes of 8°, up, down, across",
+        0.85,
+        {
+            way: {"terrain": Terrain("slope", slope_deg=8.0, direction=way)}
+            for way in ("up", "down", "across")
+        },
+    ),
+    World("other_height", "avatar of 1.45 or 1.95 m for a user of 1.70 m", 0.85,
+          _heights(1.45, 1.95)),
+    World(
+        "push_100n",
+        "100 N for 0.2 s at the chest while walking, up 3 s later",
+        0.80,
+        {"push": {"pushes": PUSH}},
+        walking=True,
+        success="up",
+    ),
+    World(
+        "ball",
+        "a ball is kicked while walking",
+        0.90,
+        {"ball": {"objects": (BALL,)}},
+        walking=True,
+        success="ball",
+    ),
+)  # fmt: skip
+SPEED_BAR = 0.6
+
+
+def group_of(kind: str) -> str | None:
+    """Walking, turning, running or gesture, or None for kinds that the table leaves out."""
+    if "turn" in kind:
+        return "turning"
+    if kind in ("run", "jog"):
+        return "running"
+    if kind == "walk":
+        return "walking"
+    gestures = ("wave", "raise", "whiteboard", "boxing")
+    return "gesture" if kind.startswith(gestures) else None
+
+
+def run_worlds(
+    agent: Agent,
+    clips: Sequence[Clip],
+    config: EnvConfig,
+    threads: int = 1,
+    max_clips: int | None = None,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Run every row of the table.
+
+    Args:
+        agent: any.
+        clips: of which those of walking, turning, running and gestures are used.
+        config: what the agent needs, with ``fixed_start``.
+        threads: of the physics.
+        max_clips: use this many clips at most in each setting, of all kinds.
+        seed: of places, directions and objects; the grounds' own seeds are fixed.
+
+    Returns:
+        ``{"rows": [...], "speed": {...}}`` of plain numbers.
+
+    Raises:
+        InputError: there is no clip of walking.
+    """
+    grouped = [clip for clip in clips if group_of(clip.kind)]
+    walking = [clip for clip in grouped if group_of(clip.kind) == "walking"]
+    long_enough = [clip for clip in walking if clip.duration >= _PUSH_END_S + RECOVERY_S]
+    if not long_enough:
+        raise InputError(
+            f"no clip of walking lasts {_PUSH_END_S + RECOVERY_S:g} s", "--motions", "add some"
+        )
+    rows = []
+    for world in WORLDS:
+        chosen = long_enough if world.walking else grouped
+        if max_clips is not None:
+            chosen = choose_clips(chosen, max_clips)
+        rows.append(_row(world, agent, chosen, config, threads, seed))
+    return {"rows": rows, "speed": terrain_speed(grouped, config, threads)}
+
+
+def _row(
+    world: World, agent: Agent, clips: Sequence[Clip], config: EnvConfig, threads: int, seed: int
+) -> dict[str, Any]:
+    parts = {}
+    by_group: dict[str, list[bool]] = {}
+    for name, changes in world.settings.items():
+        good = _good(world.success, agent, clips, replace(config, **changes), threads, seed)
+        parts[name] = {"clips": len(clips), "succeeded": int(good.sum())}
+        for clip, succeeded in zip(clips, good, strict=True):
+            by_group.setdefault(group_of(clip.kind) or "", []).append(bool(succeeded))
+    clips_run = sum(part["clips"] for part in parts.values())
+    succeeded = sum(part["succeeded"] for part in parts.values())
+    success = succeeded / clips_run
+    return {
+        "name": world.name,
+        "label": world.label,
+        "clips": clips_run,
+        "succeeded": succeeded,
+        "success": round(success, 4),
+        "bar": world.bar,
+        "reached": None if world.bar is None else success >= world.bar,
+        "settings": parts,
+        "by_group": {k: round(float(np.mean(v)), 4) for k, v in sorted(by_group.items())},
+    }
+
+
+def _good(
+    success: str,
+    agent: Agent,
+    clips: Sequence[Clip],
+    config: EnvConfig,
+    threads: int,
+    seed: int,
+) -> np.ndarray:
+    """Which clips ``(C,)`` ended well, in batches as the memory allows."""
+    order = sorted(range(len(clips)), key=lambda i: len(clips[i]))
+    good = np.zeros(len(clips), bool)
+    if success != "follow":
+        config = replace(config, max_error_m=_NEVER_LOST_M)
+    for first in range(0, len(order), _BATCH_CLIPS):
+        part = order[first : first + _BATCH_CLIPS]
+        batch = [clips[i] for i in part]
+        sim = evaluation_sim(batch, config, threads, seed)
+        try:
+            agent.bind(sim)
+            watch = _Watch(sim, batch)
+            followed = follow(agent, sim, batch, watch)
+        finally:
+            sim.close()
+        well = ~followed.fell
+        if success == "up":
+            well &= watch.up_at(round((_PUSH_END_S + RECOVERY_S) * FPS))
+        elif success == "ball":
+            well &= watch.up_at(None) & (watch.ball_moved_m > BALL_MOVED_M)
+        good[part] = well
+    return good
+
+
+class _Watch:
+    """Sees in every step of a batch who is up, and how far the ball has come."""
+
+    def __init__(self, sim: BatchSim, clips: Sequence[Clip]) -> None:
+        self._sim = sim
+        self._last = np.array([len(clip) - 1 for clip in clips])
+        self._wanted = [clip.qpos[:, 2] / clip.height_m for clip in clips]
+        self._up: list[np.ndarray] = []
+        self._ball_from: np.ndarray | None = None
+        self.ball_moved_m = np.zeros(len(clips))
+
+    def __call__(self, keep: np.ndarray) -> None:
+        sim, at = self._sim, len(self._up)
+        reference = np.array(
+            [w[min(at, last)] for w, last in zip(self._wanted, self._last, strict=True)]
+        )
+        above = sim.link_positions[:, 0, 2] - sim.floor
+        self._up.append((above > UP_SHARE * reference * sim.heights) & np.isfinite(above))
+        if sim.objects.pose.shape[1]:
+            place = sim.objects.pose[:, 0, :2]
+            if self._ball_from is None:
+                self._ball_from = place.copy()
+            moved = np.linalg.norm(place - self._ball_from, axis=-1)
+            self.ball_moved_m = np.where(keep, np.maximum(moved, self.ball_moved_m),
+                                         self.ball_moved_m)  # fmt: skip
+
+    def up_at(self, frame: int | None) -> np.ndarray:
+        """Who is up at a frame ``(C,)``; None for the end of each clip."""
+        up = np.array(self._up)
+        at = self._last if frame is None else np.minimum(frame, self._last)
+        return up[at, np.arange(len(at))]
+
+
+def terrain_speed(
+    clips: Sequence[Clip], config: EnvConfig, threads: int, steps: int = _SPEED_STEPS
+) -> dict[str, Any]:
+    """Environment steps/s on rough ground over those on flat ground, stepped in turn.
+
+    Both follow the same clips under springs towards the straight pose, so that they stand, and
+    stumble, for a while; the median of single steps' ratios does not mind a busy machine.
+    """
+    options: dict[str, Any] = {"fixed_start": False, "max_error_m": 0.5}
+    sims = [
+        BatchSim(clips, replace(config, terrain=ground, **options), _SPEED_ENVS, 0, threads)
+        for ground in (None, Terrain())
+    ]
+    gain = 4.0 * sims[0].body.damping / 0.04 / sims[0].body.torque_limits
+    for sim in sims:
+        sim.reset()
+    ratios = []
+    for step in range(steps + 5):
+        seconds = []
+        for sim in sims:
+            action = -gain * sim.joint_angles
+            began = time.perf_counter()
+            sim.step(action)
+            seconds.append(time.perf_counter() - began)
+            done = np.flatnonzero(sim.fell | sim.ended)
+            if len(done):
+                sim.reset(done)
+        if step >= 5:  # the first steps warm caches and compile
+            ratios.append(seconds[0] / seconds[1])
+    for sim in sims:
+        sim.close()
+    ratio = float(np.median(ratios))
+    return {"ratio_to_flat": round(ratio, 3), "bar": SPEED_BAR, "reached": ratio >= SPEED_BAR}
+
+
+def format_worlds(table: dict[str, Any]) -> str:
+    """The table as text."""
+    lines = [f"{'world':58}  {'clips':>5}  success      bar"]
+    for row in table["rows"]:
+        bar = "" if row["bar"] is None else f"{row['bar']:7.0%}"
+        verdict = {True: "reached", False: "missed", None: ""}[row["reached"]]
+        figures = f"{row['clips']:5}  {row['success']:7.1%}  {bar:>7}  {verdict}"
+        lines.append(f"{row['label']:58}  {figures}".rstrip())
+    speed = table["speed"]
+    verdict = "reached" if speed["reached"] else "missed"
+    lines.append(
+        f"{'environment steps/s, rough over flat ground':58}  {'':5}  "
+        f"{speed['ratio_to_flat']:7.2f}  {speed['bar']:7.2f}  {verdict}"
+    )
+    return "\n".join(lines)
+
+
+def write_worlds(table: dict[str, Any], folder: Path, context: dict[str, Any]) -> Path:
+    """Write ``worlds.json``; it is either the old one or the whole new one.
+
+    Args:
+        table: of ``run_worlds``.
+        folder: made if needed.
+        context: what was evaluated: agent, motions, configuration, versions, hashes.
+
+    Returns:
+        The file's path.
+    """
+    path = folder / "worlds.json"
+    record = {"schema": SCHEMA, "version": SCHEMA_VERSION, "context": plain(context), **table}
+    folder.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as temporary:
+        Path(temporary).write_text(json.dumps(record, indent=2) + "\n")
+    return path

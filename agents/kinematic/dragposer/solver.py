@@ -1,0 +1,397 @@
+"""DragPoser on a stream: each frame the latent is dragged until the pose meets the trackers.
+
+The trackers may change from frame to frame. Different from the published system: the root's place
+and orientation are unknowns of their own beside the latent, which the decoder only predicts, so
+that errors do not add up; the default solver is a damped Gauss-Newton method, which needs fewer
+iterations than Adam; and a pose that has lost its trackers is begun anew.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from agents.kinematic.dragposer.constraints import Constraint
+from agents.kinematic.dragposer.model import UNKNOWNS, DragModel, Figure, left_matrix
+from agents.kinematic.dragposer.networks import (
+    HEIGHT_JOINTS,
+    LATENT,
+    PAST,
+    TOKEN_EVERY,
+    DragPoserModule,
+)
+from agents.kinematic.interface import Body, KinematicSystem, Poses, Signals
+from questsim import rotations as rot
+from questsim.errors import InputError
+from questsim.sensors import DEVICES as WORN
+from questsim.skeleton import JOINT_PARENTS, JOINTS
+
+DEVICES: tuple[str, ...] = (
+    "pelvis_tracker", "headset", "left_controller", "right_controller",
+    "left_toe_tracker", "right_toe_tracker", "left_foot_tracker", "right_foot_tracker",
+)  # fmt: skip
+HIP, HEAD = JOINTS.index("root"), JOINTS.index("head")
+ANKLES = [JOINTS.index("left_ankle"), JOINTS.index("right_ankle")]
+
+PASSED_ON = (HEAD, JOINTS.index("left_wrist"), JOINTS.index("right_wrist"), *ANKLES)
+"""Joints whose orientation is taken as it is measured, as SparsePoser has it."""
+HIP_WEIGHTS, OTHER_WEIGHTS = (10.0, 10.0), (5.0, 0.01)
+"""Of position and rotation of trackers (the paper)."""
+PREDICTION_WEIGHTS = {6: 0.02, 5: 0.02, 4: 0.125, 3: 0.15}
+"""lambda_T by number of trackers (the paper; 5 as 6)."""
+NEWTON_SHARE = 0.05
+"""Of lambda_T that the Gauss-Newton solver uses: it reaches the optimum, which Adam in the paper's
+few steps does not, and there the whole weight holds the pose back from its trackers."""
+GOOD_POSITION, GOOD_ROTATION = 1e-4, 0.01
+"""Losses at which Adam stops (the paper)."""
+ADAM_RATE = 0.01
+ROOT_WEIGHTS = (0.5, 0.05)
+"""How much the root's own move (m) and turn (rad) shall be what the decoder says."""
+FLOOR_WEIGHT, UNDER_HEAD_WEIGHT = 0.5, 0.05
+"""Without a hip tracker: the lower ankle near the floor, the hip below the head."""
+ANKLE_RISE_M = 0.03
+"""An ankle stands this much higher than its toe's drop below it."""
+LOST_M, LOST_FRAMES = 0.10, 6
+"""Trackers this far off, on the mean, for so many frames: begin anew ..."""
+BETTER, PATIENCE = 0.7, 60
+"""... where that brings them this much nearer, and at most once in so many frames."""
+FIRST_ITERATIONS = 40
+
+_UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+@dataclass
+class Goal:
+    """What one frame asks for.
+
+    Attributes:
+        joints: indices of the joints whose trackers report.
+        position, quat: ``(D, 3)`` and ``(D, 4)`` of these in the world.
+        weights: ``(D, 2)`` of position and rotation.
+        predicted: ``(24,)`` the latent that was expected.
+        prediction_weight: lambda_T.
+        root, turn: ``(3,)``, ``(4,)`` the root's place and orientation in the frame before.
+    """
+
+    joints: list[int]
+    position: np.ndarray
+    quat: np.ndarray
+    weights: np.ndarray
+    predicted: np.ndarray
+    prediction_weight: float
+    root: np.ndarray
+    turn: np.ndarray
+
+
+class DragPoser(KinematicSystem):
+    """DragPoser on a stream.
+
+    Args:
+        module: trained.
+        name: for messages.
+        iterations: of the solver a frame; by default the preset's.
+        solver: ``newton`` or ``adam``; by default the preset's.
+        predictor: whether a trained predictor tells what to expect; else the last latent does.
+        constraints: losses to be met beside the trackers'; see ``constraints``.
+        rotations: whether trackers' orientations count.
+    """
+
+    devices = DEVICES
+    interpolates_dropouts = False
+
+    def __init__(
+        self,
+        module: DragPoserModule,
+        name: str = "dragposer",
+        iterations: int | None = None,
+        solver: str | None = None,
+        predictor: bool = True,
+        constraints: Sequence[Constraint] = (),
+        rotations: bool = True,
+    ) -> None:
+        self.name = name
+        self.iterations = module.spec.iterations if iterations is None else iterations
+        self.solver = solver or module.spec.solver
+        if self.iterations < 1 or self.solver not in ("newton", "adam"):
+            raise InputError(
+                f"{self.iterations} iterations of {self.solver!r}",
+                name,
+                "newton or adam, 1 or more",
+            )
+        if predictor and module.predictor is None:
+            raise InputError("was trained without a predictor", name, "leave predictor out")
+        self.module = copy.deepcopy(module).double().eval()
+        for parameter in self.module.parameters():
+            parameter.requires_grad_(False)
+        self.model = DragModel(self.module)
+        self.use_predictor, self.rotations = predictor, rotations
+        self.constraints = tuple(constraints)
+
+    def usable(self, sensors: str | Sequence[str]) -> tuple[str, ...]:
+        """Three or more trackers, the headset or the pelvis's among them; see the base class."""
+        names = super().usable(sensors)
+        if len({WORN[name].link for name in names}) < len(names):
+            raise InputError("two trackers are on one foot", "sensors")
+        if len(names) < 3 or not {"headset", "pelvis_tracker"} & set(names):
+            raise InputError(
+                f"{self.name} needs three trackers, headset or pelvis_tracker among them", "sensors"
+            )
+        return names
+
+    def describe(self) -> str:
+        """See the base class."""
+        return "three or more of " + ", ".join(DEVICES)
+
+    def _begin(self, body: Body) -> None:
+        drop = -body.offsets[[JOINTS.index("left_toe"), JOINTS.index("right_toe")], 2].mean()
+        self._ankle_rise = max(float(drop), 0.0) + ANKLE_RISE_M
+        self._latent: np.ndarray | None = None
+        self._root, self._turn = np.zeros(3), _UPRIGHT
+        self._lost_for = 0
+        self._tokens: deque[Tensor] = deque(maxlen=PAST)
+        self._coming: tuple[np.ndarray, np.ndarray] | None = None
+        self._since = 0
+        self._token_root, self._token_turn = self._root, self._turn
+
+    # -- a frame ---------------------------------------------------------------------------
+
+    @torch.no_grad()
+    def _next(self, signals: Signals) -> Poses:
+        goal = self._goal(signals)
+        iterations = self.iterations
+        if self._latent is None:
+            if not goal.joints:
+                return self._rest(signals)
+            unknowns = self._start(goal)
+            iterations = max(iterations, FIRST_ITERATIONS)
+        else:
+            unknowns = np.concatenate([self._latent, np.zeros(6)])
+        unknowns = self._solve(unknowns, goal, iterations)
+        unknowns = self._found_again(unknowns, goal)
+        figure = self._figure(unknowns, goal)
+        self._latent = unknowns[:LATENT]
+        self._root, self._turn = figure.position[0].copy(), figure.quat[0].copy()
+        self._note_token(figure)
+        quat = figure.quat
+        local = rot.quat_multiply(rot.quat_conjugate(quat[list(JOINT_PARENTS)]), quat)
+        local[0] = quat[0]
+        for joint, weight, measured in zip(goal.joints, goal.weights, goal.quat, strict=True):
+            # The solver hardly weighs these rotations; they move nothing that is tracked.
+            if joint in PASSED_ON and weight[1] > 0:
+                local[joint] = rot.quat_multiply(
+                    rot.quat_conjugate(quat[JOINT_PARENTS[joint]]), measured
+                )
+        return Poses(figure.position[:1].copy(), local[None], self._body.offsets[None])
+
+    def _goal(self, signals: Signals) -> Goal:
+        shown = [i for i in range(len(self._mounts)) if signals.present[0, i]]
+        joints = [self._mounts[i].joint for i in shown]
+        weights = [HIP_WEIGHTS if joint == HIP else OTHER_WEIGHTS for joint in joints]
+        wanted = np.reshape(np.array(weights), (-1, 2))
+        if not self.rotations:
+            wanted[:, 1] = 0.0
+        latent = self._latent if self._latent is not None else np.zeros(LATENT)
+        share = NEWTON_SHARE if self.solver == "newton" else 1.0
+        return Goal(
+            joints=joints,
+            position=signals.position[0, shown],
+            quat=signals.quat[0, shown],
+            weights=wanted,
+            predicted=self._expected(latent),
+            prediction_weight=share * PREDICTION_WEIGHTS[min(max(len(joints), 3), 6)],
+            root=self._root,
+            turn=self._turn,
+        )
+
+    def _start(self, goal: Goal) -> np.ndarray:
+        """A mean pose where the hip's tracker is, or under the head, or where any tracker is."""
+        unknowns = np.zeros(UNKNOWNS)
+        anchor = HIP if HIP in goal.joints else HEAD if HEAD in goal.joints else goal.joints[0]
+        at = goal.joints.index(anchor)
+        goal.turn = goal.quat[at] if anchor == HIP else rot.yaw_quat(rot.heading(goal.quat[at]))
+        goal.root = np.zeros(3)
+        goal.root = goal.position[at] - self._figure(unknowns, goal).position[anchor]
+        return unknowns
+
+    def _figure(self, unknowns: np.ndarray, goal: Goal, slopes: bool = False) -> Figure:
+        return self.model.figure(unknowns, goal.turn, goal.root, self._body.offsets, slopes)
+
+    def _residuals(
+        self, unknowns: np.ndarray, goal: Goal, slopes: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """``(R,)`` whose squared sum is the loss, and their derivatives ``(R, 30)``.
+
+        Without ``slopes`` the derivatives have no columns.
+        """
+        figure = self._figure(unknowns, goal, slopes)
+        parts = [(unknowns - _held(goal), np.eye(UNKNOWNS)[:, : figure.columns], _hold(goal))]
+        if goal.joints:
+            parts += _off_trackers(figure, goal)
+        if HIP not in goal.joints:
+            foot = ANKLES[int(figure.position[ANKLES, 2].argmin())]
+            low = figure.position[[foot], 2] - self._ankle_rise
+            parts.append((low, figure.d_position[[foot], 2], np.sqrt([FLOOR_WEIGHT])))
+            if HEAD in goal.joints:
+                off = figure.position[HIP, :2] - goal.position[goal.joints.index(HEAD), :2]
+                parts.append((off, figure.d_position[HIP, :2], np.sqrt([UNDER_HEAD_WEIGHT])))
+        parts += [_asked(constraint, figure) for constraint in self.constraints]
+        values = [(value * weight).ravel() for value, _, weight in parts]
+        rows = [
+            (slope * weight[..., None]).reshape(value.size, figure.columns)
+            for value, slope, weight in parts
+        ]
+        return np.concatenate(values), np.concatenate(rows)
+
+    # -- solvers ---------------------------------------------------------------------------
+
+    def _solve(self, unknowns: np.ndarray, goal: Goal, iterations: int) -> np.ndarray:
+        if self.solver == "adam":
+            return self._adam(unknowns, goal, iterations)
+        damping = 1e-4
+        for _ in range(iterations):
+            residual, jacobian = self._residuals(unknowns, goal, slopes=True)
+            loss = residual @ residual
+            square, slope = jacobian.T @ jacobian, jacobian.T @ residual
+            tried, new, better = unknowns, residual, False
+            for _ in range(4):
+                tried = unknowns - np.linalg.solve(square + damping * np.eye(UNKNOWNS), slope)
+                new, _ = self._residuals(tried, goal)
+                better = new @ new < loss
+                if better:
+                    break
+                damping *= 10.0
+            if not better:
+                break
+            unknowns, gained = tried, loss - new @ new
+            damping = max(damping / 5.0, 1e-8)
+            if gained < 1e-4 * (loss - gained):
+                break
+        return unknowns
+
+    def _adam(self, unknowns: np.ndarray, goal: Goal, iterations: int) -> np.ndarray:
+        """The published way: Adam, until trackers are near enough."""
+        free = torch.from_numpy(unknowns.copy())
+        optimiser = torch.optim.Adam([free], lr=ADAM_RATE)
+        for _ in range(iterations):
+            residual, jacobian = self._residuals(free.numpy(), goal, slopes=True)
+            free.grad = torch.from_numpy(2.0 * jacobian.T @ residual)
+            optimiser.step()
+            if goal.joints and _near(self._figure(free.numpy(), goal), goal):
+                break
+        return free.numpy()
+
+    def _found_again(self, unknowns: np.ndarray, goal: Goal) -> np.ndarray:
+        """The same unknowns, or those of a new beginning where the trackers have been lost."""
+        if not goal.joints:
+            return unknowns
+        off = _mean_distance(self._figure(unknowns, goal), goal)
+        # The first frame, and a device that comes back, may be far off at once.
+        self._lost_for = self._lost_for + 1 if off > LOST_M else 0
+        if self._lost_for < LOST_FRAMES:
+            return unknowns
+        # What was not to be had is not asked for again at once: a new beginning takes time.
+        self._lost_for = -PATIENCE
+        if HIP not in goal.joints and HEAD not in goal.joints:
+            return unknowns
+        fresh = copy.copy(goal)
+        fresh.predicted = np.zeros(LATENT)
+        again = self._solve(self._start(fresh), fresh, FIRST_ITERATIONS)
+        if _mean_distance(self._figure(again, fresh), goal) < BETTER * off:
+            self._tokens.clear()
+            self._coming, self._since = None, 0
+            goal.root, goal.turn = fresh.root, fresh.turn
+            return again
+        return unknowns
+
+    # -- what to expect --------------------------------------------------------------------
+
+    def _expected(self, latent: np.ndarray) -> np.ndarray:
+        """The latent expected now: on the way to the predicted one, or the last."""
+        if self._coming is None:
+            return latent
+        share = min(self._since + 1, TOKEN_EVERY) / TOKEN_EVERY
+        return self._coming[0] * (1 - share) + self._coming[1] * share
+
+    def _note_token(self, figure: Figure) -> None:
+        """Every fourth frame: remember a token, and predict the latent four frames on."""
+        self._since += 1
+        if not self.use_predictor or (self._tokens and self._since < TOKEN_EVERY):
+            return
+        assert self._latent is not None and self.module.predictor is not None
+        moved = self._root - self._token_root
+        moved = rot.quat_rotate(rot.quat_conjugate(self._token_turn), moved)
+        if not self._tokens:
+            moved = np.zeros_like(moved)
+        heights = figure.position[list(HEIGHT_JOINTS), 2]
+        token = torch.from_numpy(np.concatenate([self._latent, moved, heights]))
+        mean, std = self.module.token_mean, self.module.token_std
+        self._tokens.append((token - mean) / std)
+        self._token_root, self._token_turn, self._since = self._root, self._turn, 0
+        answer = self.module.predictor(torch.stack(list(self._tokens))[None], 1)[0, 0]
+        self._coming = (self._latent, (answer * std[:LATENT] + mean[:LATENT]).numpy())
+
+
+# -- what a frame asks for -------------------------------------------------------------------
+
+_Part = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Numbers to be brought to zero, their derivatives in one axis more, their weights' roots."""
+
+
+def _held(goal: Goal) -> np.ndarray:
+    """``(30,)`` what the unknowns are held to: the latent expected, the root as decoded."""
+    return np.concatenate([goal.predicted, np.zeros(UNKNOWNS - LATENT)])
+
+
+def _hold(goal: Goal) -> np.ndarray:
+    """``(30,)`` roots of the weights with which they are."""
+    weights = [goal.prediction_weight / LATENT, *(weight / 3.0 for weight in ROOT_WEIGHTS)]
+    return np.repeat(np.sqrt(weights), [LATENT, 3, 3])
+
+
+def _off_trackers(figure: Figure, goal: Goal) -> list[_Part]:
+    """Metres, and twice the vector parts of the turns, that joints are off their trackers."""
+    scales = np.sqrt(goal.weights / (3.0 * len(goal.joints)))
+    back = left_matrix(rot.quat_conjugate(goal.quat))
+    turned = (back @ figure.quat[goal.joints][..., None])[..., 0]
+    twice = np.where(turned[:, :1] < 0, -2.0, 2.0)
+    return [
+        (
+            figure.position[goal.joints] - goal.position,
+            figure.d_position[goal.joints],
+            scales[:, :1],
+        ),
+        (turned[:, 1:], (back @ figure.d_quat[goal.joints])[:, 1:], twice * scales[:, 1:]),
+    ]
+
+
+def _asked(constraint: Constraint, figure: Figure) -> _Part:
+    """The root of a user's loss; where it has no slope, none is followed."""
+    position = torch.from_numpy(figure.position)[None].requires_grad_()
+    quat = torch.from_numpy(figure.quat)[None].requires_grad_()
+    with torch.enable_grad():
+        root = (constraint(position, quat)[0] + 1e-12).sqrt()
+    slope = np.zeros((1, figure.columns))
+    if figure.columns and root.requires_grad:
+        found = torch.autograd.grad(root, [position, quat], allow_unused=True)
+        for each, change in zip(found, (figure.d_position, figure.d_quat), strict=True):
+            if each is not None:
+                each = np.nan_to_num(each[0].numpy(), posinf=0.0, neginf=0.0)
+                slope += np.tensordot(each, change, axes=2)
+    return np.array([float(root.detach())]), slope, np.ones(1)
+
+
+def _near(figure: Figure, goal: Goal) -> bool:
+    apart = ((figure.position[goal.joints] - goal.position) ** 2).mean()
+    dot = np.abs((figure.quat[goal.joints] * goal.quat).sum(-1))
+    return bool(apart <= GOOD_POSITION) and bool((1.0 - dot).mean() <= GOOD_ROTATION)
+
+
+def _mean_distance(figure: Figure, goal: Goal) -> float:
+    """Metres that the joints are off their trackers."""
+    return float(np.linalg.norm(figure.position[goal.joints] - goal.position, axis=-1).mean())

@@ -1,0 +1,170 @@
+"""How DragPoser learns: the pose autoencoder first, then, on its latents, the predictor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from agents.kinematic.data import MotionBank, Windows
+from agents.kinematic.dragposer.networks import (
+    FUTURE,
+    HEIGHT_JOINTS,
+    LATENT,
+    PAST,
+    TOKEN_EVERY,
+    DragPoserModule,
+    LatentPredictor,
+    joints_from_root,
+    pose_of,
+)
+from agents.kinematic.learning import Learning, Task
+from questsim import differentiable as diff
+
+FK_WEIGHT, KLD_WEIGHT = 100.0, 0.001
+"""Beside 1 for quaternions (the paper)."""
+CONTINUITY = "continuity"
+WEIGHTS = {CONTINUITY: 1.0}
+"""Of the continuity loss (the paper); 0 leaves it out."""
+LATENT_STEP = 0.1
+"""Length factor of the one gradient step that continuity takes."""
+NOISE_CHANCE, NOISE_STD = 0.1, 0.3
+"""Of the predictor's inputs: share of windows with disturbed tokens, in deviations."""
+NORMALISED_BY = 512
+
+_Batch = tuple[Windows, Tensor]
+
+
+def poses(windows: Windows, frame: int) -> Tensor:
+    """``pose_of`` of one frame of windows ``(B, 22, 8)``, from the frame before it."""
+    turned = diff.matrix_to_quat(windows.world[:, frame - 1 : frame + 1])
+    return pose_of(
+        turned[:, 1], windows.position[:, frame], turned[:, 0, 0], windows.position[:, frame - 1, 0]
+    )
+
+
+def make_task(
+    module: nn.Module, stage: str, learning: Learning, bank: MotionBank, validation: int
+) -> Task:
+    """Stage ``vae`` or ``predictor``."""
+    assert isinstance(module, DragPoserModule)
+    if not module.std.any():
+        told = poses(bank.fixed(NORMALISED_BY), 1)
+        module.mean.copy_(told.mean(dim=0))
+        module.std.copy_(told.std(dim=0).clamp_min(1e-3))
+        module.step_std.copy_(told[:, 0, 4:7].std().clamp_min(1e-4))
+    if stage == "predictor" and not module.token_std.any():
+        with torch.no_grad():
+            tokens = tokens_of(module, bank.fixed(64)).flatten(0, 1)
+        module.token_mean.copy_(tokens.mean(dim=0))
+        module.token_std.copy_(tokens.std(dim=0).clamp_min(1e-3))
+    if stage == "vae":
+        trained, loss = module.vae, _vae_loss(module, (WEIGHTS | learning.weights)[CONTINUITY])
+    else:
+        assert module.predictor is not None
+        trained, loss = module.predictor, _predictor_loss(module, module.predictor)
+    noise = np.random.default_rng(7)
+    fixed = (bank.fixed(validation), _normal(noise, stage, validation))
+
+    def draw(rng: np.random.Generator) -> _Batch:
+        return bank.draw(learning.batch, rng), _normal(rng, stage, learning.batch)
+
+    def validate() -> dict[str, float]:
+        return loss(fixed)[1]
+
+    return Task(list(trained.parameters()), draw, loss, validate)
+
+
+def _normal(rng: np.random.Generator, stage: str, count: int) -> Tensor:
+    """Noise of one batch: the autoencoder's samples, or the disturbance of tokens."""
+    if stage == "vae":
+        return torch.as_tensor(rng.standard_normal((count, LATENT)), dtype=torch.float32)
+    noise = NOISE_STD * rng.standard_normal((count, PAST, LATENT))
+    noise *= (rng.random(count) < NOISE_CHANCE)[:, None, None]
+    return torch.as_tensor(noise, dtype=torch.float32)
+
+
+def _apart(module: DragPoserModule, latent: Tensor, target: Tensor, offsets: Tensor) -> Tensor:
+    """Reconstruction loss ``(B,)``: 1 quaternion MSE + 100 FK MSE, displacement among them."""
+    got = module.decode(latent)
+    want = target[..., :4]
+    sign = torch.sign((got.rotation * want).sum(-1, keepdim=True).detach())
+    quaternion = (got.rotation * sign - want).square().mean((1, 2))
+    joints = joints_from_root(got.rotation, offsets) - joints_from_root(want, offsets)
+    moved = (got.displacement - target[:, 0, 4:7]) / module.step_std
+    return quaternion + FK_WEIGHT * joints.square().mean((1, 2)) + 0.01 * moved.square().mean(-1)
+
+
+_Loss = Callable[[_Batch], tuple[Tensor, dict[str, float]]]
+
+
+def _vae_loss(module: DragPoserModule, continuity_weight: float) -> _Loss:
+    def loss(batch: _Batch) -> tuple[Tensor, dict[str, float]]:
+        windows, noise = batch
+        target, offsets = poses(windows, 1), windows.offsets
+        mean, log_variance = module.encode(target)
+        latent = mean + noise * torch.exp(0.5 * log_variance)
+        rebuilt = _apart(module, latent, target, offsets).mean()
+        kld = -0.5 * (1 + log_variance - mean.square() - log_variance.exp()).mean()
+        total = rebuilt + KLD_WEIGHT * kld
+        figures = {"rebuilt": float(rebuilt.detach()), "kld": float(kld.detach())}
+        if windows.frames > 2 and continuity_weight:
+            # One gradient step from this pose's latent must decode to the next pose.
+            following = poses(windows, 2)
+            with torch.enable_grad():
+                start = mean if mean.requires_grad else mean.detach().requires_grad_()
+                there = _apart(module, start, following, offsets).sum()
+                slope = torch.autograd.grad(there, start, create_graph=True)[0]
+            moved = start - LATENT_STEP * slope
+            continuity = _apart(module, moved, following, offsets).mean()
+            total = total + continuity_weight * continuity
+            figures[CONTINUITY] = float(continuity.detach())
+        with torch.no_grad():
+            got = joints_from_root(module.decode(mean).rotation, offsets)
+            want = joints_from_root(target[..., :4], offsets)
+            figures["error_cm"] = float(100.0 * (got - want).norm(dim=-1).mean())
+        return total, figures
+
+    return loss
+
+
+def tokens_of(module: DragPoserModule, windows: Windows) -> Tensor:
+    """Tokens ``(B, P, 33)`` of every fourth frame: latent, displacement since, heights."""
+    frames = range(TOKEN_EVERY, windows.frames, TOKEN_EVERY)
+    turned = diff.matrix_to_quat(windows.world[:, :, 0])
+    told = []
+    for frame in frames:
+        latent, _ = module.encode(poses(windows, frame))
+        root = windows.position[:, :, 0]
+        moved = root[:, frame] - root[:, frame - TOKEN_EVERY]
+        moved = diff.quat_rotate(diff.quat_conjugate(turned[:, frame - TOKEN_EVERY]), moved)
+        heights = windows.position[:, frame, list(HEIGHT_JOINTS), 2]
+        told.append(torch.cat([latent, moved, heights], dim=-1))
+    return torch.stack(told, dim=1)
+
+
+def _predictor_loss(module: DragPoserModule, predictor: LatentPredictor) -> _Loss:
+    def loss(batch: _Batch) -> tuple[Tensor, dict[str, float]]:
+        windows, noise = batch
+        with torch.no_grad():
+            tokens = (tokens_of(module, windows) - module.token_mean) / module.token_std
+        past, coming = tokens[:, :PAST].clone(), tokens[:, PAST : PAST + FUTURE, :LATENT]
+        past[..., :LATENT] += noise[:, : past.shape[1]]
+        got = predictor(past, coming.shape[1])
+        squared = (got - coming).square()
+        total = squared.mean()
+        first = squared[:, 0].mean()
+        with torch.no_grad():
+            scale, mean = module.token_std[:LATENT], module.token_mean[:LATENT]
+            offsets = windows.offsets
+            a = joints_from_root(module.decode(got[:, 0] * scale + mean).rotation, offsets)
+            b = joints_from_root(module.decode(coming[:, 0] * scale + mean).rotation, offsets)
+        return total, {
+            "latent": float(total.detach()),
+            "next_latent": float(first.detach()),
+            "error_cm": float(100.0 * (a - b).norm(dim=-1).mean()),
+        }
+
+    return loss

@@ -1,0 +1,1 @@
+"""HMD-Poser and LGSIK-Poser."""

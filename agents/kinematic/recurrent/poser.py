@@ -1,0 +1,322 @@
+"""What HMD-Poser and LGSIK-Poser share: streaming with carried states, bodies, losses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from agents.kinematic.data import MotionBank, Windows
+from agents.kinematic.dragposer.assembly import assembled
+from agents.kinematic.few_rows import linear
+from agents.kinematic.interface import Body, KinematicSystem, Poses, Signals
+from agents.kinematic.learning import Learning, Task
+from agents.kinematic.recurrent.features import DEVICES, HEAD, SENSOR_JOINTS, features
+from agents.kinematic.recurrent.hmdposer import HmdPoserNet, HmdPoserSpec
+from agents.kinematic.recurrent.lgsik import SHAPE_INPUTS, LgsikNet, LgsikSpec
+from agents.precision import products
+from questsim import differentiable as diff
+from questsim import rotations as rot
+from questsim.errors import InputError
+from questsim.joint_sensors import SENSOR_FPS, SensorSequence, joint_poses, mount
+from questsim.proportions import NUM_BONES, bone_lengths, bone_of_joint, measurements
+from questsim.skeleton import JOINTS, NUM_JOINTS
+
+SHAPE_UNIT = 0.1
+"""The shape numbers are logarithms of bone lengths against the template's, in tenths."""
+HISTORY = 2
+"""Frames before a window that accelerations reach back to."""
+WINDOWS_AT_ONCE = 64
+"""Of the online protocol: more of them take more memory, not less time."""
+VISIBLE = ((False, False, False), (True, True, False), (True, True, True))
+"""Which IMUs there are: HMD, HMD+2IMU, HMD+3IMU; drawn evenly in training."""
+
+_BONE_OF_JOINT = torch.as_tensor(bone_of_joint())
+
+RecurrentSpec = HmdPoserSpec | LgsikSpec
+
+
+class RecurrentModule(nn.Module):
+    """A network and the mean body that its shape numbers refer to.
+
+    Args:
+        spec: of HMD-Poser or LGSIK-Poser.
+    """
+
+    template: Tensor
+
+    def __init__(self, spec: RecurrentSpec) -> None:
+        super().__init__()
+        self.net = HmdPoserNet(spec) if isinstance(spec, HmdPoserSpec) else LgsikNet(spec)
+        self.register_buffer("template", torch.zeros(NUM_JOINTS, 3))
+        for layer in self.net.last_layers():
+            # A person who stands straight is a better beginning than one folded up.
+            layer.bias.data.copy_(torch.tensor([1.0, 0, 0, 0, 1, 0]).repeat(len(layer.bias) // 6))
+            layer.weight.data.mul_(0.1)
+
+    def body_inputs(self, offsets: np.ndarray) -> Tensor:
+        """``(B, 11)``: gender left open, then lengths against the template's, in tenths."""
+        mean = measurements(self.template.numpy())
+        known = (measurements(offsets) / mean - 1.0) / SHAPE_UNIT
+        empty = np.zeros((len(offsets), SHAPE_INPUTS - known.shape[-1]))
+        return torch.as_tensor(np.concatenate([empty, known], axis=-1), dtype=torch.float32)
+
+    def bones(self, shape: Tensor) -> Tensor:
+        """Offsets ``(..., 22, 3)`` of shape numbers ``(..., 16)``."""
+        scales = torch.exp((SHAPE_UNIT * shape).clamp(-0.7, 0.7))
+        scales = torch.cat([scales, torch.ones_like(scales[..., :1])], dim=-1)
+        return self.template * scales[..., _BONE_OF_JOINT, None]
+
+
+class RecurrentPoser(KinematicSystem):
+    """HMD-Poser or LGSIK-Poser on a stream.
+
+    Args:
+        module: trained.
+        name: for messages.
+    """
+
+    devices = DEVICES
+    required = DEVICES[:3]
+
+    def __init__(self, module: RecurrentModule, name: str) -> None:
+        self.name, self.module = name, module
+        module.eval()
+        _compile()
+
+    def usable(self, sensors: str | Sequence[str]) -> tuple[str, ...]:
+        """As ``KinematicSystem.usable``; IMUs come as none, both knees, or knees and pelvis."""
+        names = super().usable(sensors)
+        if tuple(name in names for name in DEVICES[3:]) not in VISIBLE:
+            raise InputError(
+                f"{self.name} reads no IMU, both knees, or knees and pelvis", "sensors"
+            )
+        return names
+
+    def _begin(self, body: Body) -> None:
+        assert self._names is not None
+        there = [name in self._names for name in DEVICES]
+        self._worn = np.flatnonzero(there)
+        self._columns = np.array([self._names.index(DEVICES[i]) for i in self._worn])
+        self._seen = torch.tensor([there[3:]])
+        self._measured = self.module.body_inputs(body.offsets[None])
+        self._states: Any = None
+        self._before: tuple[Tensor, Tensor, Tensor] | None = None
+        self._shape_sum, self._count = torch.zeros(NUM_BONES), 0
+
+    def _inputs(self, signals: Signals) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Signals in the order of ``DEVICES``, with a batch of one, and which IMUs there are."""
+        frames, worn, at = len(signals.position), self._worn, self._columns
+        rotation = np.broadcast_to(np.eye(3, dtype=np.float32), (frames, len(DEVICES), 3, 3)).copy()
+        rotation[:, worn] = rot.quat_to_matrix(signals.quat[:, at])
+        acceleration = np.zeros((frames, 3, 3), np.float32)
+        acceleration[:, worn[3:] - 3] = signals.acceleration[:, at[3:]]
+        position = signals.position[:, at[:3]].astype(np.float32)
+        moved, turned, pulled = map(torch.from_numpy, (position, rotation, acceleration))
+        return moved[None], turned[None], pulled[None], self._seen
+
+    @torch.no_grad()
+    def _next(self, signals: Signals) -> Poses:
+        position, rotation, acceleration, seen = self._inputs(signals)
+        now = (position, rotation, acceleration)
+        # The frame before, so that velocities have something to start from.
+        first = (position[:, :1], rotation[:, :1], acceleration[:, :1])
+        before = self._before if self._before is not None else first
+        joined = [torch.cat(pair, dim=1) for pair in zip(before, now, strict=True)]
+        told, heading = features(joined[0], joined[1], joined[2], seen)
+        self._before = (position[:, -1:], rotation[:, -1:], acceleration[:, -1:])
+        six, shape, self._states = self.module.net(told[:, 1:], self._measured, self._states)
+        total = shape[0].cumsum(0) + self._shape_sum
+        count = self._count + torch.arange(1, len(total) + 1)
+        self._shape_sum, self._count = total[-1], int(count[-1])
+        return self._poses(six[0], total / count[:, None], heading[0, 1:], position[0, :, 0])
+
+    def _poses(self, six: Tensor, shape: Tensor, heading: Tensor, head: Tensor) -> Poses:
+        """Poses ``T`` whose head joint is where it was measured, of the mean body so far."""
+        offsets = self.module.bones(shape)
+        root, quat = assembled(six.numpy(), heading.numpy(), head.numpy(), offsets.numpy())
+        return Poses(root, quat, offsets.double().numpy())
+
+    @torch.no_grad()
+    def predict_windows(self, sequence: SensorSequence, body: Body, frames: int) -> Poses:
+        """Each frame from the ``frames`` up to it alone, states from zero (LGSIK-Poser's protocol).
+
+        Shape numbers are means over the window. Windows of the first frames are short.
+
+        Args:
+            sequence: as in ``predict``, without gaps.
+            body: the user's.
+            frames: of a window.
+        """
+        signals = self._all_signals(sequence, body)
+        first = Signals(*(array[:frames] for array in vars(signals).values()))
+        # Windows that begin with the sequence are what a stream has seen by then.
+        parts = [self._next(first)]
+        position, rotation, acceleration, seen = self._inputs(signals)
+        for begin in range(1, len(sequence) - frames + 1, WINDOWS_AT_ONCE):
+            end = min(begin + WINDOWS_AT_ONCE, len(sequence) - frames + 1)
+            rows = torch.arange(begin, end)[:, None] + torch.arange(frames)
+            told, heading = features(
+                position[0, rows],
+                rotation[0, rows],
+                acceleration[0, rows],
+                seen.expand(len(rows), -1),
+            )
+            six, shape, _ = self.module.net(told, self._measured.expand(len(rows), -1), None)
+            head = position[0, rows[:, -1], 0]
+            parts.append(self._poses(six[:, -1], shape.mean(dim=1), heading[:, -1], head))
+        return Poses.joined(parts)
+
+    def predict(self, sequence: SensorSequence, body: Body) -> Poses:
+        """As ``KinematicSystem.predict``, all frames at once where the stream has no gap."""
+        gaps = np.diff(sequence.time_s) * SENSOR_FPS
+        if len(sequence) < 2 or abs(gaps - 1.0).max() > 0.5 or not sequence.present.all():
+            return super().predict(sequence, body)
+        poses = self._next(self._all_signals(sequence, body))
+        return poses if poses.finite() else super().predict(sequence, body)
+
+    def _all_signals(self, sequence: SensorSequence, body: Body) -> Signals:
+        """A stream begins: the signals of all its frames, checked as ``step`` does."""
+        self.reset(body, sequence.names)
+        frames = []
+        for t in range(len(sequence)):
+            frames.append(self._accepted(sequence[t]))
+            self._last = frames[-1]
+        mounted = [mount(name, body.offsets) for name in sequence.names]
+        position, quat = joint_poses(
+            np.stack([f.position for f in frames]), np.stack([f.quat for f in frames]), mounted
+        )
+        acceleration = np.stack([f.acceleration for f in frames])
+        return Signals(position, quat, acceleration, np.stack([f.present for f in frames]))
+
+
+def _compile() -> None:
+    """Compile what a stream runs before it begins: some seconds once, then kept on disk."""
+    with torch.no_grad():
+        linear(torch.zeros(1, 1), torch.zeros(1, 1), torch.zeros(1))
+    place, turn = torch.zeros(1, 1, 3, 3), torch.eye(3).expand(1, 1, len(DEVICES), 3, 3)
+    features(place, turn, place, torch.zeros(1, 3, dtype=torch.bool))
+    pose = np.zeros((1, NUM_JOINTS, 6))
+    assembled(pose, np.eye(3)[None], np.zeros((1, 3)), pose[..., :3])
+
+
+# -- training ----------------------------------------------------------------------------------
+
+
+def training_inputs(windows: Windows, seen: Tensor) -> tuple[Tensor, Tensor, Windows]:
+    """Features ``(B, T, 135)``, headings and targets of windows that are ``HISTORY`` longer."""
+    at = list(SENSOR_JOINTS)
+    rotation = windows.world[:, :, at]
+    place = windows.position[:, :, at]
+    arms = np.array([[mount(n, o).offset for n in DEVICES[3:]] for o in windows.offsets.numpy()])
+    arms_there = torch.as_tensor(arms, dtype=torch.float32)[:, None, :, :, None]
+    imu = place[:, :, 3:] + (rotation[:, :, 3:] @ arms_there).squeeze(-1)
+    acceleration = torch.zeros_like(imu)
+    acceleration[:, 2:] = (imu[:, 2:] - 2 * imu[:, 1:-1] + imu[:, :-2]) * SENSOR_FPS**2
+    told, heading = features(place[:, :, :3], rotation, acceleration, seen)
+    cut = slice(HISTORY, None)
+    target = Windows(
+        windows.local[:, cut], windows.world[:, cut], windows.position[:, cut], windows.offsets
+    )
+    return told[:, cut], heading[:, cut], target
+
+
+def _l1(a: Tensor, b: Tensor) -> Tensor:
+    return (a - b).abs().mean()
+
+
+def _mse(a: Tensor, b: Tensor) -> Tensor:
+    return (a - b).square().mean()
+
+
+def losses(
+    module: RecurrentModule, six: Tensor, shape: Tensor, heading: Tensor, target: Windows
+) -> tuple[Tensor, dict[str, float]]:
+    """The published loss of either system, in the frame of the head's heading.
+
+    HMD-Poser, L1: root 1, local 5, global 1, joints 1, acceleration 0.5 (of 100 m/s^2), shape
+    consistency 0.1. LGSIK-Poser, MSE: root 10, local 50, global 10, joints 1000, sparse joints
+    (root, hands) 1000, shape 10, velocity 5 over lags of 1, 3 and 5 frames. LGSIK-Poser can be
+    trained by HMD-Poser's (``LgsikSpec.loss``).
+    """
+    local = diff.six_d_to_matrix(six)
+    offsets = module.bones(shape)
+    world = diff.world_matrices(local)
+    from_root = diff.positions_from_root(world, offsets)
+    joints = from_root - from_root[:, :, HEAD : HEAD + 1]
+    back = heading.transpose(-1, -2)[:, :, None]
+    want_world = back @ target.world
+    from_head = target.position - target.position[:, :, HEAD : HEAD + 1]
+    want = (back @ from_head[..., None]).squeeze(-1)
+    want_six = diff.matrix_to_six_d(target.local[:, :, 1:])
+    want_root = diff.matrix_to_six_d(want_world[:, :, 0])
+    got_six = diff.matrix_to_six_d(local)
+    turned = (heading[:, :, None] @ joints[..., None]).squeeze(-1)
+    # Paths in the world, without the head's own, which is given.
+    moved, want_moved = turned, from_head
+    wander = (shape - shape.mean(dim=1, keepdim=True)).abs().mean()
+    if isinstance(module.net, HmdPoserNet) or module.net.spec.loss == "hmdposer":
+
+        def bend(x: Tensor) -> Tensor:
+            return (x[:, 2:] - 2 * x[:, 1:-1] + x[:, :-2]) * (SENSOR_FPS**2 / 100.0)
+
+        terms = {
+            "root": _l1(got_six[:, :, 0], want_root),
+            "local": 5.0 * _l1(got_six[:, :, 1:], want_six),
+            "global": _l1(diff.matrix_to_six_d(world), diff.matrix_to_six_d(want_world)),
+            "joints": _l1(joints, want),
+            "acceleration": 0.5 * _l1(bend(moved), bend(want_moved)),
+            "shape": 0.1 * wander,
+        }
+    else:
+        sparse = [JOINTS.index(name) for name in ("root", "left_wrist", "right_wrist")]
+        lags = [k for k in (1, 3, 5) if k < moved.shape[1]]
+        velocity = [
+            _mse(moved[:, k:] - moved[:, :-k], want_moved[:, k:] - want_moved[:, :-k]) for k in lags
+        ]
+        lengths = bone_lengths(target.offsets.numpy()) / bone_lengths(module.template.numpy())
+        known = torch.as_tensor(np.log(lengths), dtype=torch.float32)[:, None]
+        terms = {
+            "root": 10.0 * _mse(got_six[:, :, 0], want_root),
+            "local": 50.0 * _mse(got_six[:, :, 1:], want_six),
+            "global": 10.0 * _mse(diff.matrix_to_six_d(world), diff.matrix_to_six_d(want_world)),
+            "joints": 1000.0 * _mse(joints, want),
+            "sparse": 1000.0 * _mse(joints[:, :, sparse], want[:, :, sparse]),
+            "shape": 10.0 * (_mse(SHAPE_UNIT * shape, known) + SHAPE_UNIT * wander),
+            "velocity": 5.0 * torch.stack(velocity).sum(),
+        }
+    total = torch.stack(list(terms.values())).sum()
+    figures = {name: float(term.detach()) for name, term in terms.items()}
+    figures["error_cm"] = float(100.0 * (joints - want).detach().norm(dim=-1).mean())
+    return total, figures
+
+
+def make_task(
+    module: nn.Module, stage: str, learning: Learning, bank: MotionBank, validation: int
+) -> Task:
+    """The one stage ``network`` of HMD-Poser and LGSIK-Poser."""
+    assert isinstance(module, RecurrentModule) and stage == "network"
+    if not module.template.any():
+        module.template.copy_(torch.as_tensor(bank.template))
+    fixed = bank.fixed(validation)
+    fixed_seen = torch.tensor(VISIBLE)[torch.arange(validation) % len(VISIBLE)]
+
+    def draw(rng: np.random.Generator) -> tuple[Windows, Tensor]:
+        windows = bank.draw(learning.batch, rng)
+        return windows, torch.tensor(VISIBLE)[rng.integers(len(VISIBLE), size=learning.batch)]
+
+    def loss(batch: tuple[Windows, Tensor]) -> tuple[Tensor, dict[str, float]]:
+        windows, seen = batch
+        told, heading, target = training_inputs(windows, seen)
+        body = module.body_inputs(target.offsets.numpy())
+        with products(learning.bfloat16 and module.training):
+            six, shape, _ = module.net(told, body)
+        return losses(module, six.float(), shape.float(), heading, target)
+
+    def validate() -> dict[str, float]:
+        return loss((fixed, fixed_seen))[1]
+
+    return Task(list(module.net.parameters()), draw, loss, validate)

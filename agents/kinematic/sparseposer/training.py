@@ -1,0 +1,145 @@
+"""How SparsePoser learns: the generator first, then, with it frozen, the limbs' IK."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from agents.kinematic.data import MotionBank, Windows
+from agents.kinematic.learning import Learning, Task
+from agents.kinematic.sparseposer.poser import ENDS, LIMBS, TURNED, SparsePoserModule, root_space
+from agents.precision import products
+from questsim import differentiable as diff
+from questsim.skeleton import NUM_JOINTS
+
+ROOT_WEIGHT, ROTATION_WEIGHT = 10.0, 10.0
+"""Of the root against other joints, and of ends' rotations against positions (released code)."""
+KEEP = "keep"
+WEIGHTS = {KEEP: 0.1}
+"""Of the limbs staying as the generator has them: the regularisation of the paper's loss of learned
+IK, lambda times the squared difference of joints' dual quaternions."""
+NORMALISED_BY = 256
+"""Windows that the normalisers are measured on."""
+
+
+def _signals(windows: Windows) -> tuple[Tensor, Tensor, Tensor]:
+    """World positions and orientations of the trackers' joints, and all joints' orientations."""
+    turned = diff.matrix_to_quat(windows.world)
+    return windows.position[:, :, list(ENDS)], turned[:, :, list(TURNED)], turned
+
+
+def measure_normalisers(module: SparsePoserModule, windows: Windows) -> None:
+    """Set means and deviations from windows; of a channel that never moves the deviation is 1e-3.
+
+    The ends' channels are normalised by those of the joints they stand for.
+    """
+    _, _, turned = _signals(windows)
+    dual = root_space(windows.position, turned).flatten(0, 1)
+    module.mean.copy_(dual.mean(dim=0))
+    module.std.copy_(dual.std(dim=0).clamp_min(1e-3))
+    bones = windows.offsets[:, 1:].flatten(0, 1)
+    module.offset_mean.copy_(bones.mean(dim=0))
+    module.offset_std.copy_(bones.std(dim=0).clamp_min(1e-3))
+    path = windows.position[:, :, 0]
+    module.step_std.copy_((path[:, 1:] - path[:, :-1]).std().clamp_min(1e-4))
+
+
+def ends_of(dual: Tensor, offsets: Tensor) -> tuple[Tensor, Tensor]:
+    """Positions and orientations ``(B, T, 6, ...)`` of the limbs' ends in root space."""
+    matrix = diff.quat_to_matrix(dual[..., :4])
+    unturned = torch.eye(3).expand(*matrix.shape[:2], 1, 3, 3)
+    matrix = torch.cat([unturned, matrix[:, :, 1:]], dim=2)
+    position = diff.positions_from_root(matrix, offsets[:, None])
+    return position[:, :, list(ENDS)], matrix[:, :, list(TURNED)]
+
+
+def make_task(
+    module: nn.Module, stage: str, learning: Learning, bank: MotionBank, validation: int
+) -> Task:
+    """Stage ``generator`` or ``ik``."""
+    assert isinstance(module, SparsePoserModule)
+    if not module.std.any():
+        measure_normalisers(module, bank.fixed(NORMALISED_BY))
+    fixed = bank.fixed(validation)
+    if stage == "generator":
+        trained = list(module.generator.parameters())
+        loss = _generator_loss(module, learning.bfloat16)
+    else:
+        trained = list(module.ik.parameters())
+        loss = _ik_loss(module, (WEIGHTS | learning.weights)[KEEP])
+
+    def draw(rng: np.random.Generator) -> Windows:
+        return bank.draw(learning.batch, rng)
+
+    def validate() -> dict[str, float]:
+        return loss(fixed)[1]
+
+    return Task(trained, draw, loss, validate)
+
+
+_Loss = Callable[[Windows], tuple[Tensor, dict[str, float]]]
+
+
+def _prepared(module: SparsePoserModule, windows: Windows) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Channels, ends and normalised offsets to read, and the dual quaternions to answer."""
+    position, turned, everything = _signals(windows)
+    sparse, ends = module.sparse(position, turned)
+    target = root_space(windows.position, everything)
+    return sparse, ends, module.normal_offsets(windows.offsets), target
+
+
+def _error_cm(dual: Tensor, windows: Windows) -> float:
+    """Mean distance in cm of all joints, root on root, with the root's orientation given."""
+    turned = diff.quat_to_matrix(dual[..., :4].detach())
+    root = windows.world[:, :, :1]
+    world = torch.cat([root, root @ turned[:, :, 1:]], dim=2)
+    got = diff.positions_from_root(world, windows.offsets[:, None])
+    want = windows.position - windows.position[:, :, :1]
+    return float(100.0 * (got - want).norm(dim=-1).mean())
+
+
+def _generator_loss(module: SparsePoserModule, bfloat16: bool) -> _Loss:
+    weight = torch.ones(NUM_JOINTS, 1)
+    weight[0] = ROOT_WEIGHT
+
+    def loss(windows: Windows) -> tuple[Tensor, dict[str, float]]:
+        sparse, _, offsets, target = _prepared(module, windows)
+        with products(bfloat16 and module.training):
+            out = module.generator(sparse, offsets.flatten(1))
+        dual = module.unit(out.float())
+        squared = (module.normal(dual) - module.normal(target)).square()
+        total = (weight * squared).mean()
+        figures = {"dual_quaternions": float(total.detach()), "error_cm": _error_cm(dual, windows)}
+        return total, figures
+
+    return loss
+
+
+def _ik_loss(module: SparsePoserModule, keep_weight: float) -> _Loss:
+    limbs = [limb.end for limb in LIMBS.values()]
+    moved = sorted(joint for limb in LIMBS.values() for joint in limb.joints)
+
+    def loss(windows: Windows) -> tuple[Tensor, dict[str, float]]:
+        sparse, ends, offsets, target = _prepared(module, windows)
+        with torch.no_grad():
+            generated = module.generate(sparse, offsets)
+        solved = module.solve(generated, ends, offsets)
+        position, turned = ends_of(solved, windows.offsets)
+        want_position, want_turned = ends_of(target, windows.offsets)
+        apart = (position - want_position)[:, :, limbs].square().mean()
+        turn = (turned - want_turned)[:, :, limbs].square().mean()
+        keep = (solved - generated)[:, :, moved].square().mean()
+        total = apart + ROTATION_WEIGHT * turn + keep_weight * keep
+        end_cm = 100.0 * (position - want_position)[:, :, limbs].detach().norm(dim=-1).mean()
+        return total, {
+            "end_position": float(apart.detach()),
+            "end_rotation": float(turn.detach()),
+            "keep": float(keep.detach()),
+            "end_cm": float(end_cm),
+            "error_cm": _error_cm(solved, windows),
+        }
+
+    return loss

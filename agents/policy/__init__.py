@@ -1,0 +1,1 @@
+"""The torque policy: networks, checkpoints, export."""

@@ -1,0 +1,262 @@
+"""Policies on disk: a folder with weights, a description of what they fit, and a resume file.
+
+``policy.safetensors`` holds the actor with its normaliser, gains and noise; ``policy.yaml`` says
+for which observation, joints, links and body it is. Neither can run code when loaded.
+``critic.safetensors`` holds what only a further training needs; acting does not read it.
+``resume.pt``, beside the last checkpoint of a training, holds what only going on needs.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import yaml
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
+
+from agents.agent import Needs, PolicyAgent, Tracker, new_policy
+from agents.policy.networks import ACTIVATIONS, TorquePolicy
+from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
+from questsim.errors import InputError
+from questsim.motion.clip import FPS
+from questsim.skeleton import DOFS, LINKS
+
+FORMAT, FORMAT_VERSION = "questsim-policy", 1
+WEIGHTS_FILE, CARD_FILE, RESUME_FILE = "policy.safetensors", "policy.yaml", "resume.pt"
+CRITIC_FILE = "critic.safetensors"
+SHIPPED = Path(__file__).parents[1] / "weights"
+CRITIC = "critic."
+
+# Of the fine-tuning only what helped is a result, so its last state is none.
+RUN_POLICIES = (
+    "best", "last", "finetune/best", "student/best", "student/last",
+    "ppo/best", "ppo/last", "teacher/best", "teacher/last",
+)  # fmt: skip
+"""Where a stage and a run keep their result, best first."""
+
+
+def save_policy(
+    folder: Path,
+    policy: TorquePolicy,
+    needs: Needs,
+    training: dict[str, Any],
+    resume: dict[str, Any] | None = None,
+) -> None:
+    """Write a checkpoint folder; an older one is replaced only when the new one is whole.
+
+    Args:
+        folder: where; its parent is created.
+        policy: its actor is saved, and its critic, if it has one, beside it.
+        needs: the environment it acts in.
+        training: what to record: data, licence, steps, figures.
+        resume: state for going on, of tensors, arrays, numbers, text, lists and dictionaries.
+    """
+    state = {name: tensor.detach().contiguous() for name, tensor in policy.state_dict().items()}
+    critic = {name: state.pop(name) for name in list(state) if name.startswith(CRITIC)}
+    card = describe(policy, needs) | {"training": training}
+    with whole_folder(folder) as fresh:
+        (fresh / WEIGHTS_FILE).write_bytes(save(state))
+        if critic:
+            (fresh / CRITIC_FILE).write_bytes(save(critic))
+        (fresh / CARD_FILE).write_text(yaml.safe_dump(card, sort_keys=False), encoding="utf-8")
+        if resume is not None:
+            torch.save(pack(resume), fresh / RESUME_FILE)
+
+
+@contextmanager
+def whole_folder(folder: Path) -> Iterator[Path]:
+    """A folder beside ``folder`` that takes its place when the block is done, and not before."""
+    fresh = folder.with_name(folder.name + ".new")
+    shutil.rmtree(fresh, ignore_errors=True)
+    fresh.mkdir(parents=True)
+    yield fresh
+    old = folder.with_name(folder.name + ".old")
+    shutil.rmtree(old, ignore_errors=True)
+    if folder.exists():
+        folder.rename(old)
+    fresh.rename(folder)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def describe(policy: TorquePolicy, needs: Needs) -> dict[str, Any]:
+    """What ``policy.yaml`` says of a policy, without its training."""
+    spec = asdict(policy.spec)
+    del spec["critic_blocks"]
+    layout = policy.layout.within(policy.spec.actor_blocks)
+    return {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "fps": FPS,
+        "joints": list(DOFS),
+        "links": list(LINKS),
+        "needs": asdict(needs),
+        "network": {k: list(v) if isinstance(v, tuple) else v for k, v in spec.items()},
+        "observation": {name: list(block) for name, block in layout.blocks.items()},
+    }
+
+
+def read_card(folder: Path) -> dict[str, Any]:
+    """The checked ``policy.yaml`` of a checkpoint folder.
+
+    Raises:
+        InputError: if it is missing, no YAML, of another format version, or made for other
+            joints, links or another frame rate.
+    """
+    path = folder / CARD_FILE
+    try:
+        card = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"there is no {CARD_FILE}", folder, "name a policy folder") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError("is not a policy description", path) from error
+    if not isinstance(card, dict) or card.get("format") != FORMAT:
+        raise InputError(f"is not of format {FORMAT!r}", path)
+    expected = {
+        "format_version": FORMAT_VERSION,
+        "joints": list(DOFS),
+        "links": list(LINKS),
+        "fps": FPS,
+    }
+    for field, value in expected.items():
+        if card.get(field) != value:
+            raise InputError(_difference(field, card.get(field), value), path, "train it again")
+    return card
+
+
+def _difference(field: str, found: Any, expected: Any) -> str:
+    """One line about a field that is not what this version of the code needs."""
+    if isinstance(expected, list):
+        found = found if isinstance(found, list) else []
+        if len(found) != len(expected):
+            return f"{field} has {len(found)} names instead of {len(expected)}"
+        i = next(i for i, name in enumerate(expected) if found[i] != name)
+        return f"{field} has {found[i]!r} in the place of {expected[i]!r} (number {i})"
+    return f"{field} is {found!r}, this version reads {expected!r}"
+
+
+def load_policy(folder: Path) -> PolicyAgent:
+    """The agent of a checkpoint folder.
+
+    Raises:
+        InputError: see ``read_card``; or weights that are damaged or do not fit the description.
+    """
+    card = read_card(folder)
+    try:
+        network: dict[str, Any] = {
+            k: tuple(v) if isinstance(v, list) else v for k, v in card["network"].items()
+        }
+        spec = PolicySpec(**network, critic_blocks=())
+        blocks = {name: (int(a), int(b)) for name, (a, b) in card["observation"].items()}
+        needs = Needs(**card["needs"])
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"the description is incomplete ({error})", folder / CARD_FILE) from error
+    if spec.activation not in ACTIVATIONS:
+        raise InputError(f"unknown activation {spec.activation!r}", folder / CARD_FILE)
+    policy = new_policy(spec, Layout(blocks))
+    try:
+        policy.load_state_dict(load_file(folder / WEIGHTS_FILE))
+    except FileNotFoundError:
+        raise InputError(f"there is no {WEIGHTS_FILE}", folder) from None
+    except (SafetensorError, RuntimeError) as error:
+        reason = str(error).strip().splitlines()[-1].strip()
+        raise InputError(f"the weights do not fit ({reason})", folder / WEIGHTS_FILE) from error
+    for name, tensor in policy.state_dict().items():
+        if not bool(torch.isfinite(tensor).all()):
+            raise InputError(f"{name} is not finite", folder / WEIGHTS_FILE)
+    kind = Tracker if spec.actor_blocks == TRACKER_BLOCKS else PolicyAgent
+    return kind(policy, needs, folder.name, card)
+
+
+def load_critic(folder: Path, policy: TorquePolicy) -> None:
+    """Give ``policy`` the critic that was saved beside a policy.
+
+    Raises:
+        InputError: there is none, or it is damaged or of another shape.
+    """
+    path = folder / CRITIC_FILE
+    if not path.exists():
+        raise InputError("has no critic to go on with", folder, "name a teacher's folder")
+    try:
+        critic = load_file(path)
+        missing, unexpected = policy.load_state_dict(critic, strict=False)
+    except (SafetensorError, RuntimeError) as error:
+        raise InputError("its critic does not fit this preset's", path) from error
+    if unexpected or any(name.startswith(CRITIC) for name in missing):
+        raise InputError("its critic does not fit this preset's", path)
+
+
+def find_policy(path_or_name: str | Path) -> Path:
+    """The checkpoint folder that a path, stage or run folder, or shipped name means.
+
+    Raises:
+        InputError: if there is none; it lists the shipped names.
+    """
+    if not str(path_or_name):
+        raise InputError("an empty name names no agent", fix="give a policy's folder or name")
+    path = Path(path_or_name)
+    if (path / CARD_FILE).exists():
+        return path
+    for part in RUN_POLICIES:
+        if (path / part / CARD_FILE).exists():
+            return path / part
+    if (SHIPPED / path / CARD_FILE).exists():
+        return SHIPPED / path
+    names = ", ".join([*shipped_with(CARD_FILE), "zero", "random"])
+    raise InputError("is no agent", path_or_name, f"name a policy folder or one of {names}")
+
+
+def shipped_with(card: str) -> tuple[str, ...]:
+    """Names of all that is shipped with a card of that file name."""
+    return tuple(sorted(path.parent.name for path in SHIPPED.glob(f"*/{card}")))
+
+
+def find_teacher(path_or_name: str | Path) -> Path:
+    """As ``find_policy``, but of a run its teacher.
+
+    Raises:
+        InputError: see there.
+    """
+    teacher = Path(path_or_name) / "teacher"
+    return find_policy(teacher if teacher.is_dir() else path_or_name)
+
+
+def load_resume(folder: Path) -> dict[str, Any]:
+    """What ``save_policy`` was given as ``resume``.
+
+    Raises:
+        InputError: if there is none, or it is damaged.
+    """
+    path = folder / RESUME_FILE
+    if not path.exists():
+        raise InputError("there is nothing to resume", folder, "leave out --resume")
+    try:
+        return torch.load(path, weights_only=True)
+    except Exception as error:  # torch raises many kinds for a damaged file
+        raise InputError("the resume file is damaged", path) from error
+
+
+def pack(value: Any) -> Any:
+    """A state with arrays as tensors, which is what a resume file may hold."""
+    if isinstance(value, dict):
+        return {key: pack(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [pack(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return torch.as_tensor(value.copy())
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def unpack(value: Any) -> Any:
+    """The state that ``pack`` was given, with arrays as arrays."""
+    if isinstance(value, dict):
+        return {key: unpack(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [unpack(item) for item in value]
+    return value.numpy() if isinstance(value, torch.Tensor) else value

@@ -1,0 +1,326 @@
+"""The torque policy: two networks, a normaliser of their own, and a proportional torque head."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.distributions import Distribution
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.type_aliases import Schedule
+from torch import Tensor, nn
+
+from agents.policy.spec import JOINT_BLOCK, REFERENCE_BLOCK, TORQUE_BLOCK, Layout, PolicySpec
+from agents.precision import native_bfloat16
+
+ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "elu": nn.ELU, "silu": nn.SiLU}
+
+CLIP = 10.0
+"""Normalised observations are clipped to this many standard deviations."""
+
+MIN_STD = 0.01
+"""Floor of the standard deviation: a constant input (one height only) must not be blown up."""
+
+
+class RunningNorm(nn.Module):
+    """Subtracts the running mean of each input and divides by its standard deviation.
+
+    It changes only when ``update`` is called, so that the probabilities of a rollout and of the
+    update that learns from it agree.
+    """
+
+    mean: Tensor
+    var: Tensor
+    count: Tensor
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(size))
+        self.register_buffer("var", torch.ones(size))
+        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Normalise ``x`` ``(n, size)``."""
+        return ((x - self.mean) / self.var.sqrt().clamp_min(MIN_STD)).clamp_(-CLIP, CLIP)
+
+    @torch.no_grad()
+    def update(self, x: Tensor) -> None:
+        """Merge the rows of ``x`` ``(n, size)`` into the statistics (Chan et al. 1979)."""
+        rows = len(x)
+        total = self.count + rows
+        var, mean = torch.var_mean(x, dim=0, unbiased=False)
+        share = (rows / total).item()
+        delta = mean - self.mean
+        self.mean += share * delta
+        self.var.copy_((1 - share) * self.var + share * var + share * (1 - share) * delta**2)
+        self.count.copy_(total)
+
+
+class Network(nn.Module):
+    """A normaliser of some columns of the observation, and a multi-layer perceptron on them."""
+
+    columns: Tensor
+
+    def __init__(
+        self, columns: np.ndarray, spec: PolicySpec, outputs: int, output_gain: float
+    ) -> None:
+        super().__init__()
+        # Which columns is the environment's affair, what they mean the policy's: not saved.
+        self.register_buffer("columns", torch.as_tensor(columns), persistent=False)
+        self.norm = RunningNorm(len(columns))
+        layers: list[nn.Module] = []
+        width = len(columns)
+        for hidden in spec.hidden:
+            layers += [_linear(width, hidden, np.sqrt(2)), ACTIVATIONS[spec.activation]()]
+            width = hidden
+        self.layers = nn.Sequential(*layers, _linear(width, outputs, output_gain))
+        self.low_precision = False
+
+    def forward(self, obs: Tensor) -> Tensor:
+        """Outputs ``(n, outputs)`` for full observations ``(n, D)``.
+
+        With ``low_precision`` set, while training, matrix products are in bfloat16, at twice
+        the speed. A rollout and its update then agree, since both go through here.
+        """
+        return self.of_inputs(self.inputs(obs))
+
+    def inputs(self, obs: Tensor) -> Tensor:
+        """What the layers read of observations ``(n, D)``: normalised columns.
+
+        An update makes them once of a whole rollout, during which the normaliser stands still.
+        """
+        inputs = self.norm(obs.index_select(1, self.columns))
+        return inputs.bfloat16() if self.low_precision else inputs
+
+    def of_inputs(self, inputs: Tensor) -> Tensor:
+        """Outputs ``(n, outputs)`` for what ``inputs`` gave."""
+        with torch.autocast("cpu", torch.bfloat16, enabled=self.low_precision):
+            return self.layers(inputs).float()
+
+    def update_norm(self, obs: Tensor) -> None:
+        """Merge observations ``(n, D)`` into the normaliser."""
+        self.norm.update(obs.index_select(1, self.columns))
+
+
+def _adam(parameters: Iterable[nn.Parameter], rate: float) -> torch.optim.Adam:
+    return torch.optim.Adam(parameters, lr=rate, eps=1e-5, fused=True)
+
+
+def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:
+    layer = nn.Linear(inputs, outputs)
+    nn.init.orthogonal_(layer.weight, gain)
+    nn.init.zeros_(layer.bias)
+    return layer
+
+
+class TorqueHead(nn.Module):
+    """gain * (q_ref - q) + tau_ref: the stiffness of the joints, as part of the torque policy.
+
+    ``tau_ref`` is what the reference motion takes by inverse dynamics; without a reference it and
+    ``q_ref`` are zero. The action is still one torque a joint, held for one step; the gains are
+    trained with the network and stay positive.
+    """
+
+    joint_columns: Tensor
+    reference_columns: Tensor | None
+    torque_columns: Tensor | None
+
+    def __init__(self, gains: np.ndarray, layout: Layout, reference: bool) -> None:
+        super().__init__()
+        self.log_gain = nn.Parameter(torch.as_tensor(np.log(gains), dtype=torch.float32))
+        self.reference = reference
+        for name in ("joint_columns", "reference_columns", "torque_columns"):
+            self.register_buffer(name, None, persistent=False)
+        self.use_layout(layout)
+
+    def use_layout(self, layout: Layout) -> None:
+        """Find the joint angles (and the reference's) in the observation."""
+        self.joint_columns = torch.as_tensor(layout.columns((JOINT_BLOCK,)))
+        if self.reference:
+            self.reference_columns = torch.as_tensor(layout.columns((REFERENCE_BLOCK,)))
+            self.torque_columns = torch.as_tensor(layout.columns((TORQUE_BLOCK,)))
+
+    def terms(self, obs: Tensor) -> tuple[Tensor, Tensor]:
+        """What of observations ``(n, D)`` the head needs: q_ref - q in radians, and tau_ref.
+
+        Both are ``(n, 33)``, tau_ref ``(n, 0)`` without a reference.
+        """
+        error = -obs.index_select(1, self.joint_columns)
+        if self.reference_columns is None or self.torque_columns is None:
+            return error, obs[:, :0]
+        error = error + obs.index_select(1, self.reference_columns)
+        return error, obs.index_select(1, self.torque_columns)
+
+    def forward(self, error: Tensor, torque: Tensor) -> Tensor:
+        """The head's part of the action ``(n, 33)`` for rows of ``terms``."""
+        action = self.log_gain.exp() * error
+        return action + torque if torque.shape[1] else action
+
+
+class TorquePolicy(ActorCriticPolicy):
+    """Gaussian policy over torques in [-1, 1], for stable-baselines3's on-policy algorithms.
+
+    The mean is ``actor(o) + gain * (q_ref - q) + tau_ref``; it is not squashed, the environment
+    clips it.
+
+    Args:
+        observation_space: box of shape ``(D,)``.
+        action_space: box of shape ``(33,)``.
+        lr_schedule: stable-baselines3's learning rate schedule.
+        spec: networks and head.
+        layout: the environment's observation blocks.
+        gains: ``(33,)`` start values of the head, action per radian; needed with a head.
+        noise: ``(33,)`` start values of the standard deviation.
+        learn_noise: whether the standard deviation is trained.
+        critic_learning_rate: a learning rate of its own for the critic, or None for the actor's.
+    """
+
+    def __init__(
+        self,
+        observation_space: spaces.Space,
+        action_space: spaces.Space,
+        lr_schedule: Schedule,
+        *,
+        spec: PolicySpec,
+        layout: Layout,
+        gains: np.ndarray | None = None,
+        noise: np.ndarray | float = 0.03,
+        learn_noise: bool = True,
+        critic_learning_rate: float | None = None,
+        use_sde: bool = False,
+    ) -> None:
+        if use_sde:
+            raise ValueError("TorquePolicy has no state-dependent exploration")
+        self.spec, self.layout = spec, layout
+        self.settings: dict[str, Any] = {
+            "spec": spec,
+            "layout": layout,
+            "gains": gains,
+            "noise": noise,
+            "learn_noise": learn_noise,
+            "critic_learning_rate": critic_learning_rate,
+        }
+        super().__init__(observation_space, action_space, lr_schedule)
+
+    def _build(self, lr_schedule: Schedule) -> None:
+        """Networks and optimiser; called by stable-baselines3's constructor."""
+        spec, settings = self.spec, self.settings
+        assert self.action_space.shape is not None
+        actions = self.action_space.shape[0]
+        # The small last layer makes the head (or rest) the first policy, whatever is observed.
+        actor_columns = self.layout.columns(spec.actor_blocks)
+        self.actor = Network(actor_columns, spec, actions, output_gain=0.01)
+        self.critic = (
+            Network(self.layout.columns(spec.critic_blocks), spec, 1, output_gain=0.01)
+            if spec.critic_blocks
+            else None
+        )
+        self.head = (
+            TorqueHead(settings["gains"], self.layout, spec.reference_head)
+            if spec.torque_head
+            else None
+        )
+        noise = np.broadcast_to(settings["noise"], (actions,))
+        self.log_std = nn.Parameter(
+            torch.as_tensor(np.log(noise), dtype=torch.float32),
+            requires_grad=settings["learn_noise"],
+        )
+        rate = float(lr_schedule(1))
+        # Two optimisers, since actor and critic learn side by side.
+        self.optimizer = _adam(self.actor_parameters(), rate)
+        self.critic_optimizer = (
+            _adam(self.critic.parameters(), settings["critic_learning_rate"] or rate)
+            if self.critic is not None
+            else None
+        )
+
+    def actor_parameters(self) -> list[nn.Parameter]:
+        """What the policy gradient trains."""
+        head = list(self.head.parameters()) if self.head is not None else []
+        return [*self.actor.parameters(), *head, self.log_std]
+
+    def action_mean(self, obs: Tensor) -> Tensor:
+        """Mean action ``(n, 33)``, not clipped, for observations ``(n, D)``."""
+        return self.action_mean_of(*self.action_inputs(obs))
+
+    def action_inputs(self, obs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """What the mean action depends on: the actor's inputs and the terms of the head."""
+        none = obs[:, :0]
+        error, torque = (none, none) if self.head is None else self.head.terms(obs)
+        return self.actor.inputs(obs), error, torque
+
+    def action_mean_of(self, inputs: Tensor, error: Tensor, torque: Tensor) -> Tensor:
+        """Mean action ``(n, 33)`` for rows of what ``action_inputs`` gave."""
+        mean = self.actor.of_inputs(inputs)
+        return mean if self.head is None else mean + self.head(error, torque)
+
+    def predict_values(self, obs: Tensor) -> Tensor:  # type: ignore[override]
+        """Value ``(n, 1)`` of observations ``(n, D)``; zeros for a policy without critic."""
+        return self.critic(obs) if self.critic is not None else obs.new_zeros(len(obs), 1)
+
+    def use_bfloat16(self, on: bool) -> None:
+        """Choose the precision of matrix products: bfloat16 to train, float32 to act.
+
+        Stays float32 on a processor without bfloat16.
+        """
+        self.actor.low_precision = on and native_bfloat16()
+        if self.critic is not None:
+            self.critic.low_precision = self.actor.low_precision
+
+    def log_prob(self, mean: Tensor, actions: Tensor) -> Tensor:
+        """Log density ``(n,)`` of actions ``(n, 33)`` around the mean."""
+        z = (actions - mean) * torch.exp(-self.log_std)
+        constant = 0.5 * np.log(2 * np.pi) * actions.shape[1]
+        return -0.5 * (z * z).sum(1) - self.log_std.sum() - constant
+
+    def update_norm(self, obs: Tensor) -> None:
+        """Merge observations ``(n, D)`` into the normalisers of both networks."""
+        self.actor.update_norm(obs)
+        if self.critic is not None:
+            self.critic.update_norm(obs)
+
+    def predict_batch(self, obs: np.ndarray) -> np.ndarray:
+        """Deterministic actions ``(n, 33)`` in [-1, 1] for observations ``(n, D)``."""
+        with torch.inference_mode():
+            return self.action_mean(torch.from_numpy(obs)).clamp_(-1.0, 1.0).numpy()
+
+    def use_layout(self, layout: Layout) -> None:
+        """Read the same blocks from an observation that has them in other columns."""
+        for module, blocks in (
+            (self.actor, self.spec.actor_blocks),
+            (self.critic, self.spec.critic_blocks),
+        ):
+            if module is not None:
+                module.columns = torch.as_tensor(layout.columns(blocks))
+        if self.head is not None:
+            self.head.use_layout(layout)
+
+    # The rest is what stable-baselines3 calls.
+
+    def get_distribution(self, obs: Tensor) -> Distribution:  # type: ignore[override]
+        """The action distribution for observations ``(n, D)``."""
+        return self.action_dist.proba_distribution(self.action_mean(obs), self.log_std)  # type: ignore[call-arg]
+
+    def forward(self, obs: Tensor, deterministic: bool = False) -> tuple[Tensor, Tensor, Tensor]:
+        """Actions, values and log probabilities for observations ``(n, D)``."""
+        distribution = self.get_distribution(obs)
+        actions = distribution.get_actions(deterministic=deterministic)
+        return actions, self.predict_values(obs), distribution.log_prob(actions)
+
+    def evaluate_actions(  # type: ignore[override]
+        self, obs: Tensor, actions: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Values, log probabilities and entropy of given actions."""
+        distribution = self.get_distribution(obs)
+        return self.predict_values(obs), distribution.log_prob(actions), distribution.entropy()
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        return {
+            "observation_space": self.observation_space,
+            "action_space": self.action_space,
+            "lr_schedule": self._dummy_schedule,
+            **self.settings,
+        }

@@ -1,0 +1,1 @@
+"""Shipping weights: licences, provenance, model cards."""

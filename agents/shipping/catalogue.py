@@ -1,0 +1,126 @@
+"""``questsim agents``: every agent and preset, what it reads, how large it is, what is shipped."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from agents.kinematic.ik import DEVICES as IK_DEVICES
+from agents.kinematic.physics_behind import TRACKER
+from agents.kinematic.registry import AGENTS
+from agents.kinematic.store import CARD_FILE, read_system_card
+from agents.names import PHYSICS, shipped_policies
+from agents.policy.checkpoint import SHIPPED, read_card
+from agents.shipping.licence import OURS, licence_of, strictest
+
+KEYS = ("agent", "preset", "title", "sensors", "parameters", "licence", "weights")
+
+
+@dataclass(frozen=True)
+class AgentsArgs:
+    """List every agent and preset."""
+
+    json: bool = False
+    """As JSON, for programs."""
+
+
+def catalogue() -> list[dict[str, Any]]:
+    """One entry an agent and preset, with ``KEYS``.
+
+    ``parameters`` are those that training changes; ``licence`` is that of the weights, or of the
+    code where there are none; ``weights`` says whether they are shipped.
+    """
+    shipped = [
+        (folder.parent, read_system_card(folder.parent))
+        for folder in sorted(SHIPPED.glob(f"*/{CARD_FILE}"))
+    ]
+    entries = []
+    for name, agent in AGENTS.items():
+        for preset, config in agent.presets.items():
+            there = [
+                card
+                for _, card in shipped
+                if card["agent"] == name and card["training"].get("preset") == preset
+            ]
+            module = agent.build(config.spec)
+            entries.append(
+                {
+                    "agent": name,
+                    "preset": preset,
+                    "title": agent.title,
+                    "sensors": list(agent.sensors),
+                    "parameters": sum(p.numel() for p in module.parameters()),
+                    "licence": licence_of(there[0]["training"]) if there else OURS,
+                    "weights": bool(there),
+                }
+            )
+    entries.append(
+        {
+            "agent": "ik",
+            "preset": "-",
+            "title": f"inverse kinematics (mink) of {len(IK_DEVICES)} trackers",
+            "sensors": ["6T"],
+            "parameters": 0,
+            "licence": OURS,
+            "weights": False,
+        }
+    )
+    return [*entries, *_with_physics(entries), *_policies()]
+
+
+def _with_physics(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """What can be run with the tracker behind it: systems that are there."""
+    from agents.policy.checkpoint import load_policy
+
+    tracker = load_policy(SHIPPED / TRACKER)
+    behind = sum(p.numel() for p in tracker.policy.parameters())
+    licence = licence_of(tracker.card["training"])
+    return [
+        {
+            **entry,
+            "agent": entry["agent"] + PHYSICS,
+            "title": f"{entry['title']}, followed by the tracker's torques",
+            "parameters": entry["parameters"] + behind,
+            "licence": strictest([entry["licence"], licence]),
+            "weights": True,
+        }
+        for entry in entries
+        if entry["weights"] or not entry["parameters"]
+    ]
+
+
+def _policies() -> list[dict[str, Any]]:
+    from agents.policy.checkpoint import load_policy
+
+    entries = []
+    for name in shipped_policies():
+        card, policy = read_card(SHIPPED / name), load_policy(SHIPPED / name).policy
+        entries.append(
+            {
+                "agent": name,
+                "preset": card["training"].get("preset", "-"),
+                "title": "torque policy",
+                "sensors": [card["needs"]["sensors"]],
+                "parameters": sum(p.numel() for p in policy.parameters()),
+                "licence": licence_of(card["training"]),
+                "weights": True,
+            }
+        )
+    return entries
+
+
+def list_agents(args: AgentsArgs) -> None:
+    """Print the catalogue, as a table or as JSON."""
+    entries = catalogue()
+    if args.json:
+        print(json.dumps(entries, indent=1))
+        return
+    for entry in entries:
+        told = "shipped" if entry["weights"] else "not trained"
+        if not entry["parameters"]:
+            told = "needs none"
+        print(
+            f"{entry['agent']:19} {entry['preset']:6} {entry['parameters'] / 1e6:7.2f} M  "
+            f"{told:11}  {entry['licence']:14} {', '.join(entry['sensors']):30} {entry['title']}"
+        )

@@ -1,0 +1,291 @@
+"""The card beside shipped weights: what they are, from what, how good, under which licence."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from agents.agent import PolicyAgent
+from agents.shipping.licence import NON_COMMERCIAL, OURS
+from questsim.errors import InputError
+from questsim.evaluation_report import LABELS
+from questsim.metrics import SCHEMA, SCHEMA_VERSION
+from questsim.motion.datasets import DATASETS
+from questsim.sensors import sensor_set
+
+NOT_FIGURES = ("real_time_factor",)
+"""What a report has and a card leaves out: it says more of the computer than of the policy."""
+
+LICENCE_TEXTS = {
+    OURS: "The weights are under the MIT licence, as the code is.",
+    NON_COMMERCIAL: (
+        "The weights are under [CC BY-NC 4.0](https://creativecommons.org/licenses/by-nc/4.0/), as "
+        "the motions are that they were trained on: **no commercial use**, and credit is due. Only "
+        "the code is under the MIT licence."
+    ),
+}
+
+DRIVER_USE = """\
+To drive the avatar of this project in research, teaching and experiments: full-body motion from a
+headset, with or without controllers, and methods compared on the same clips. It is not made for
+medical or safety-relevant use, nor to tell who or how healthy somebody is."""
+
+TRACKER_USE = """\
+To make the avatar follow a whole-body reference, such as a kinematic estimate or a motion capture
+clip, and as a teacher of policies that see only devices. It is not made for medical or
+safety-relevant use."""
+
+LIMITS = """\
+- It knows the motions above and their like. Others can make the avatar fall; once it has fallen
+  or lags far behind, it does not catch up.
+- It was trained {ground}, without other people.
+- It fits this body, order of joints, observation and 36 Hz only; anything else is refused.
+- A body is described by its height alone: other proportions, strength or age are not modelled."""
+
+SPARSE_LIMITS = """\
+- The devices' signals in training were synthetic: rigid offsets from the clips' head and hands,
+  without noise, delay or loss of tracking.
+- Legs that move independently of head and hands are guessed."""
+
+
+def model_card(
+    name: str, agent: PolicyAgent, weights_bytes: int, metrics: Sequence[Mapping[str, Any]]
+) -> str:
+    """The card of a policy, as Markdown.
+
+    Args:
+        name: what it is shipped as.
+        agent: the policy; the ``training`` of its ``policy.yaml`` must hold what
+            ``provenance.provenance`` tells.
+        weights_bytes: size of the file of weights.
+        metrics: contents of the ``metrics.json`` of its evaluations.
+    """
+    training = agent.card["training"]
+    tracker = agent.needs.privileged
+    figures = [line for part in metrics for line in _figures(part)]
+    limits = LIMITS.format(ground=_ground(training))
+    if not tracker:
+        limits += "\n" + SPARSE_LIMITS
+    if not tracker and agent.needs.future_frames:
+        delay = round(1000.0 * agent.needs.future_frames / agent.card["fps"], -1)
+        limits += (
+            f"\n- It waits for {agent.needs.future_frames} frames of the future: {delay:g} ms."
+        )
+    return card_text(
+        name,
+        _purpose(agent),
+        _facts(agent, weights_bytes),
+        training,
+        figures,
+        TRACKER_USE if tracker else DRIVER_USE,
+        limits,
+    )
+
+
+def card_text(
+    name: str,
+    purpose: str,
+    facts: Sequence[str],
+    training: Mapping[str, Any],
+    figures: Sequence[str],
+    use: str,
+    limits: str,
+) -> str:
+    """The layout of every card, as Markdown.
+
+    Args:
+        name: what the weights are shipped as.
+        purpose: one paragraph.
+        facts: lines of a table.
+        training: with ``commands``, and what ``licence_lines`` reads.
+        figures: lines; none if it has not been evaluated.
+        use, limits: text of these sections.
+    """
+    lines = [
+        f"# {name}",
+        "",
+        purpose,
+        "",
+        *facts,
+        "",
+        "Trained by",
+        "",
+        "```",
+        *training["commands"],
+        "```",
+        "",
+        "## Figures",
+        "",
+        *(figures or ["It has not been evaluated.", ""]),
+        "## Intended use",
+        "",
+        use,
+        "",
+        "## Limits",
+        "",
+        limits,
+        "",
+        "## Licence",
+        "",
+        *licence_lines(training),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def read_metrics(path: Path, training: Mapping[str, Any]) -> dict[str, Any]:
+    """The checked ``metrics.json`` of an evaluation of one policy.
+
+    Args:
+        path: the file.
+        training: of the policy's ``policy.yaml``, as the evaluation recorded it.
+
+    Raises:
+        InputError: it is missing, no report of this version, or of another policy.
+    """
+    metrics = read_report(path, SCHEMA, SCHEMA_VERSION, "an evaluation", "metrics.json")
+    measured = metrics.get("context", {}).get("training") or {}
+    # A report of the shipped policy knows more of its training than the run's policy does.
+    plain = json.loads(json.dumps(dict(training)))
+    differing = [key for key, value in plain.items() if measured.get(key) != value]
+    if differing:
+        raise InputError(
+            f"measured another policy: its {differing[0]} is {measured.get(differing[0])!r}, not "
+            f"{plain[differing[0]]!r}",
+            path,
+            "evaluate this one",
+        )
+    return metrics
+
+
+def read_report(path: Path, schema: str, version: int, of: str, usual_name: str) -> dict[str, Any]:
+    """A JSON report of one schema and version.
+
+    Args:
+        path: the file.
+        schema, version: that it must have.
+        of: what it reports, for messages.
+        usual_name: of such a file, for messages.
+
+    Raises:
+        InputError: it is missing, no such report, or of another version.
+    """
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", path) from error
+    except ValueError as error:
+        raise InputError(f"is no report of {of}", path) from error
+    if not isinstance(report, dict) or report.get("schema") != schema:
+        raise InputError(f"is no report of {of}", path, f"name a {usual_name}")
+    if report.get("version") != version:
+        raise InputError(f"is of version {report.get('version')!r}, this one reads {version}", path)
+    return report
+
+
+def _ground(training: Mapping[str, Any]) -> str:
+    ground = training["ground"]
+    where = "on flat ground" if ground == "flat" else f"on `{ground}` ground (see environments)"
+    pushed = ", under pushes at the chest" if training["pushed"] else ", without pushes"
+    things = " and ".join(f"a {kind}" for kind in training.get("objects", ()))
+    return where + pushed + (f", with {things} in the way" if things else ", without obstacles")
+
+
+def _purpose(agent: PolicyAgent) -> str:
+    if agent.needs.privileged:
+        return (
+            "Makes the avatar follow any full-body reference by torques on its 33 joints, 36 times "
+            "a second: it sees the avatar's state and coming frames of the reference."
+        ) + (
+            " It has learnt on references that kinematic systems estimate, to do what the user "
+            "does all the same."
+            if agent.card["training"].get("shown_estimates")
+            else ""
+        )
+    devices = ", ".join(name.replace("_", " ") for name in sensor_set(agent.needs.sensors))
+    frames = agent.needs.future_frames
+    when = f"{frames} coming frames" if frames else "the present frame"
+    return (
+        f"Drives the avatar by torques on its 33 joints, 36 times a second: it sees the avatar's "
+        f"state and {when} of {devices}."
+    )
+
+
+def _facts(agent: PolicyAgent, weights_bytes: int) -> list[str]:
+    training, spec = agent.card["training"], agent.policy.spec
+    stages = "; ".join(
+        f"{stage['stage']} {stage['steps'] / 1e6:.1f} M steps, {time_text(stage['minutes'])}"
+        for stage in training["stages"]
+    )
+    whole = time_text(sum(stage["minutes"] for stage in training["stages"]))
+    versions = training["versions"]
+    packages = ", ".join(f"{name} {versions[name]}" for name in ("questsim", "mujoco", "torch"))
+    layers = "-".join(map(str, spec.hidden))
+    rows = {
+        "licence": training["licence"],
+        "trained on": _data(training),
+        "training": f"{stages}; {whole} in all",
+        "seed": str(training["seed"]),
+        "body": f"preset `{agent.needs.body_preset}`",
+        "network": f"{layers} {spec.activation}, {weights_bytes / 1e6:.1f} MB in safetensors",
+        "made with": packages,
+    }
+    return ["| | |", "|---|---|", *(f"| {name} | {text} |" for name, text in rows.items())]
+
+
+def time_text(minutes: float) -> str:
+    """Minutes, or hours where there are many."""
+    return f"{minutes:.0f} min" if minutes < 120 else f"{minutes / 60:.1f} h"
+
+
+def _data(training: Mapping[str, Any]) -> str:
+    motions = {stage["motions"]: None for stage in training["stages"]}
+    own = training["motions"]
+    text = f"`{own}`: {training['clips']} clips, {time_text(training['seconds'] / 60)}"
+    others = [f"`{name}`" for name in motions if name != own]
+    return text + (f"; earlier stages on {', '.join(others)}" if others else "")
+
+
+def _figures(metrics: Mapping[str, Any]) -> list[str]:
+    """One evaluation as a heading and two tables."""
+    context = metrics["context"]
+    motions = (context.get("data") or {}).get("motions", "unnamed motions")
+    heights = (context.get("config") or {}).get("heights")
+    statures = "the clips' own statures" if heights is None else f"{heights[0]:g} m"
+    lines = [
+        f"### {motions}, {metrics['all']['clips']} clips, {statures}",
+        "",
+        "Each clip once, from its first frame, without noise; *all* has every clip until its fall.",
+        "",
+        "| | all | completed |",
+        "|---|---|---|",
+    ]
+    for key, label in LABELS.items():
+        if key not in NOT_FIGURES:
+            cells = (_cell(key, metrics[part][key]) for part in ("all", "completed"))
+            lines.append(f"| {label.strip()} | {' | '.join(cells)} |")
+    lines += ["", "| kind of motion | clips | success (%) | MPJPE (cm) |", "|---|---|---|---|"]
+    for kind, parts in metrics["by_kind"].items():
+        row = (_cell(key, parts["all"][key]) for key in ("clips", "success", "mpjpe_cm"))
+        lines.append(f"| {kind} | {' | '.join(row)} |")
+    return [*lines, ""]
+
+
+def _cell(key: str, value: float | None) -> str:
+    if value is None:
+        return "-"
+    if key in ("clips", "frames"):
+        return str(value)
+    return f"{100.0 * value:.1f}" if key == "success" else f"{value:.2f}"
+
+
+def licence_lines(training: Mapping[str, Any]) -> list[str]:
+    """The licence in words, and credit to the motions of all stages."""
+    licence = training["licence"]
+    lines = [LICENCE_TEXTS.get(licence, f"The weights are under {licence}.")]
+    motions = " ".join(stage["motions"] for stage in training["stages"])
+    used = [dataset for name, dataset in DATASETS.items() if name in motions]
+    for dataset in used:
+        lines += ["", f"Motions: {dataset.title} ({dataset.licence}). {dataset.credit}"]
+    return lines

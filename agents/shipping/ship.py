@@ -1,0 +1,138 @@
+"""Putting what was trained among what is shipped, with a card that tells what it is."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from agents.kinematic.store import CARD_FILE as SYSTEM_CARD
+from agents.kinematic.store import WEIGHTS_FILE as SYSTEM_WEIGHTS
+from agents.kinematic.store import find_system, read_system_card
+from agents.policy.checkpoint import (
+    CARD_FILE,
+    CRITIC_FILE,
+    SHIPPED,
+    WEIGHTS_FILE,
+    find_policy,
+    load_policy,
+)
+from agents.shipping.licence import UNKNOWN
+from agents.shipping.model_card import model_card, read_metrics
+from agents.shipping.provenance import portable, provenance
+from agents.shipping.system_card import comparison_lines, system_card, system_provenance
+from questsim.errors import InputError
+
+MODEL_CARD = "README.md"
+MAX_BYTES = 10_000_000
+"""A shipped file is smaller than this: weights travel with the source."""
+
+RESERVED = ("zero", "random", "ik")
+"""Names of agents that need no weights."""
+
+
+@dataclass(frozen=True)
+class ShipArgs:
+    """Copy a run's best policy or kinematic system to the shipped ones and write its card."""
+
+    run: Path
+    """A run folder, a stage of it, or a checkpoint folder inside it."""
+    name: str
+    """What it is called from now on, e.g. by evaluate --agent NAME."""
+    metrics: tuple[Path, ...] = ()
+    """Reports of its evaluations, in the order of the card: metrics.json of a policy,
+    comparison.json of a kinematic system."""
+    into: Path = SHIPPED
+    """Folder of the shipped policies."""
+
+
+def ship(args: ShipArgs) -> int:
+    """Copy weights with their card, in place of older ones of that name; returns the exit code.
+
+    Raises:
+        InputError: there are none, their data or licence is not known, they are too large, or
+            a report is of others.
+    """
+    check_name(args.name)
+    system = find_system(args.run) if args.run.exists() else None
+    if system is None:
+        return _ship_policy(args, find_policy(args.run))
+    return _ship_system(args, system)
+
+
+def _ship_policy(args: ShipArgs, source: Path) -> int:
+    agent = load_policy(source)
+    size = _checked_size(source / WEIGHTS_FILE)
+    training = agent.card["training"]
+    metrics = [read_metrics(path, training) for path in args.metrics]
+    told = {"motions": portable(training["motions"])}
+    agent.card["training"] = training | told | provenance(source)
+    licence = _checked_licence(agent.card["training"], source)
+    card = model_card(args.name, agent, size, metrics)
+    _write(args, source, (WEIGHTS_FILE, CRITIC_FILE), (CARD_FILE, agent.card), card)
+    print(f"written to {args.into / args.name}: {size / 1e6:.1f} MB, {licence}")
+    return 0
+
+
+def _ship_system(args: ShipArgs, source: Path) -> int:
+    description = read_system_card(source)
+    size = _checked_size(source / SYSTEM_WEIGHTS)
+    training = description["training"]
+    figures = [line for path in args.metrics for line in comparison_lines(path, training)]
+    description["training"] = training | system_provenance(source)
+    licence = _checked_licence(description["training"], source)
+    card = system_card(args.name, source, description["training"], size, figures)
+    _write(args, source, (SYSTEM_WEIGHTS,), (SYSTEM_CARD, description), card)
+    print(f"written to {args.into / args.name}: {size / 1e6:.1f} MB, {licence}")
+    return 0
+
+
+def _checked_size(weights: Path) -> int:
+    size = weights.stat().st_size
+    if size > MAX_BYTES:
+        raise InputError(f"{size / 1e6:.1f} MB is more than 10 MB", weights)
+    return size
+
+
+def _checked_licence(training: dict[str, Any], source: Path) -> str:
+    if training["licence"] == UNKNOWN:
+        raise InputError("some motions it learnt from have no stated licence", source)
+    return training["licence"]
+
+
+def check_name(name: str) -> None:
+    """Refuse what cannot be a folder and an agent's name.
+
+    Raises:
+        InputError: saying what a name is.
+    """
+    if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name) or name in RESERVED:
+        raise InputError(
+            f"{name!r} is no name for a policy", "--name", "use letters a-z, digits and hyphens"
+        )
+
+
+def _write(
+    args: ShipArgs,
+    source: Path,
+    weights: tuple[str, ...],
+    description: tuple[str, dict[str, Any]],
+    card: str,
+) -> None:
+    """Write the folder whole beside an older one, then take its place."""
+    folder = args.into / args.name
+    fresh = folder.with_name(f".{folder.name}.new")
+    shutil.rmtree(fresh, ignore_errors=True)
+    fresh.mkdir(parents=True)
+    for name in weights:
+        if (source / name).exists():
+            shutil.copy(source / name, fresh)
+    name, content = description
+    (fresh / name).write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    (fresh / MODEL_CARD).write_text(card, encoding="utf-8")
+    shutil.rmtree(folder, ignore_errors=True)
+    fresh.rename(folder)

@@ -1,0 +1,193 @@
+"""Shipping a kinematic system: its weights, its description and a card, as policies have one."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Mapping, Sequence
+from math import ceil
+from pathlib import Path
+from typing import Any
+
+from agents.comparison.report import LABELS, SCHEMA, SCHEMA_VERSION
+from agents.comparison.run import parameters
+from agents.kinematic.interface import KinematicSystem
+from agents.kinematic.physics_behind import base_of
+from agents.kinematic.registry import AGENTS
+from agents.kinematic.store import CARD_FILE, find_system, load_system, read_system_card
+from agents.run_folder import read_run
+from agents.shipping.licence import strictest
+from agents.shipping.model_card import card_text, read_report, time_text
+from agents.shipping.provenance import options_of, run_of
+from questsim.errors import InputError
+
+SHOWN: tuple[str, ...] = (
+    "mpjre_deg", "mpjpe_cm", "mpjve_cm_s", "jitter_100_m_s3", "h_pe_cm", "l_pe_cm", "pos_cm",
+    "rot_deg", "ee_cm", "foot_skate_cm_s", "floating_cm", "root_force_bw",
+)  # fmt: skip
+"""Figures of a comparison that a card has."""
+
+USE = """\
+To estimate a user's whole pose, one frame after the other, from the devices named above: for
+research, teaching and experiments. It is not made for medical or safety-relevant use, nor to tell
+who or how healthy somebody is."""
+
+LIMITS = """\
+- It knows the motions above and their like; what no device sees is guessed.
+- Nothing physical is in it: feet may slide, float or sink.
+- The devices' signals in training were synthetic, without noise, delay or loss of tracking.
+- It answers at 60 Hz on this order of joints only; anything else is refused.
+- Bodies differ by the lengths of their bones alone: sex, age and weight are not modelled."""
+
+
+def system_provenance(folder: Path) -> dict[str, Any]:
+    """What a card tells of a system's training; the same keys as ``provenance.provenance``.
+
+    Commands and stages of a system that it started from come first, and the licence is the
+    strictest of all motions.
+
+    Args:
+        folder: the checkpoint's, inside its run.
+
+    Raises:
+        InputError: it is not inside a run, or what it started from is gone.
+    """
+    run = run_of(folder)
+    record = read_run(run)
+    training = read_system_card(folder)["training"]
+    stages = []
+    for stage in training["trained"]:
+        last = run / stage / "last"
+        end = read_system_card(last)["training"] if (last / CARD_FILE).exists() else training
+        stages.append(
+            {
+                "stage": stage,
+                "steps": end["steps"],
+                "minutes": end["minutes"],
+                "motions": training["motions"],
+            }
+        )
+    minutes = ceil(sum(stage["minutes"] for stage in stages))
+    words = [*options_of(record["args"]), "--minutes", str(minutes), "--out", "runs/NAME"]
+    before: dict[str, Any] = {"commands": [], "stages": [], "licences": []}
+    if start := record["args"].get("start"):
+        before, called = _start_provenance(start, record.get("behind", {}).get("start"))
+        words += ["--start", called]
+    return {
+        "commands": [*before["commands"], shlex.join(["python", "train.py", *words])],
+        "stages": [*before["stages"], *stages],
+        "licence": strictest([*training["licences"], *before["licences"]]),
+        "versions": record["versions"],
+    }
+
+
+def _start_provenance(start: str, shipped: dict[str, Any] | None) -> tuple[dict[str, Any], str]:
+    """Commands, stages and licences of the system a training started from, and its run's name.
+
+    Args:
+        start: what ``--start`` named.
+        shipped: how that was trained, if it was a shipped system; another version may have the
+            name by now.
+
+    Raises:
+        InputError: it is gone.
+    """
+    told, called = shipped, f"runs/{Path(start).name}"
+    if told is None:
+        folder = find_system(start)
+        if folder is None:
+            raise InputError("what it started from is gone", start)
+        told = read_system_card(folder)["training"]
+        called = f"runs/{folder.name}"
+        if "stages" not in told:
+            told, called = system_provenance(folder), f"runs/{run_of(folder).name}"
+    *earlier, last = told["commands"]
+    words = [called if word == "runs/NAME" else word for word in shlex.split(last)]
+    found = {
+        "commands": [*earlier, shlex.join(words)],
+        "stages": list(told["stages"]),
+        "licences": [told["licence"]],
+    }
+    return found, called
+
+
+def system_card(
+    name: str, folder: Path, training: Mapping[str, Any], weights_bytes: int, figures: Sequence[str]
+) -> str:
+    """The card of a system, as Markdown.
+
+    Args:
+        name: what it is shipped as.
+        folder: of its checkpoint.
+        training: of its description, with what ``system_provenance`` tells.
+        weights_bytes: size of the file of weights.
+        figures: lines of ``comparison_lines``.
+    """
+    card, system = read_system_card(folder), load_system(folder)
+    entry = AGENTS[card["agent"]]
+    purpose = (
+        f"{entry.title}: estimates the user's pose on 22 joints, 60 times a second, without "
+        f"physics. It reads {system.describe().replace('_', ' ')}."
+    )
+    facts = _facts(system, training, weights_bytes)
+    return card_text(name, purpose, facts, training, figures, USE, LIMITS)
+
+
+def _facts(system: KinematicSystem, training: Mapping[str, Any], weights_bytes: int) -> list[str]:
+    stages = "; ".join(
+        f"{stage['stage']} {stage['steps']:,} steps, {time_text(stage['minutes'])}"
+        for stage in training["stages"]
+    )
+    whole = time_text(sum(stage["minutes"] for stage in training["stages"]))
+    versions = training["versions"]
+    packages = ", ".join(f"{name} {versions[name]}" for name in ("questsim", "torch"))
+    count = parameters(system)
+    rows = {
+        "licence": training["licence"],
+        "trained on": f"`{training['motions']}`: {training['clips']} clips, "
+        f"{time_text(training['seconds'] / 60)}, mirrored, on people of varied proportions",
+        "training": f"preset `{training['preset']}`; {stages}; {whole} in all",
+        "seed": str(training["seed"]),
+        "network": f"{count:,} parameters, {weights_bytes / 1e6:.1f} MB in safetensors",
+        "made with": packages,
+    }
+    return ["| | |", "|---|---|", *(f"| {key} | {text} |" for key, text in rows.items())]
+
+
+def comparison_lines(path: Path, training: Mapping[str, Any]) -> list[str]:
+    """The rows of one system in a ``comparison.json``, as Markdown.
+
+    Args:
+        path: the file.
+        training: of the system's description, as the comparison recorded it.
+
+    Raises:
+        InputError: it is missing, no comparison of this version, or not of this system.
+    """
+    report = read_report(path, SCHEMA, SCHEMA_VERSION, "a comparison", "comparison.json")
+    plain = json.loads(json.dumps(dict(training)))
+    agents = [
+        agent
+        for agent, measured in report["context"]["agents"].items()
+        if all(measured.get(key) == value for key, value in plain.items())
+    ]
+    rows = [row for row in report["rows"] if row["agent"] in agents]
+    if not rows:
+        raise InputError("does not have this system", path, "compare it")
+    data = report["context"]["data"]
+    names = [name for name in SHOWN if name in rows[0]["pooled"]]
+    lines = [
+        f"### {data['motions']}, {data['clips']} clips",
+        "",
+        "Streamed frame by frame; all frames alike.",
+        "",
+        f"| scenario | {' | '.join(LABELS[name] for name in names)} |",
+        "|" + "---|" * (len(names) + 1),
+    ]
+    for row in rows:
+        found = [row["pooled"][name] for name in names]
+        cells = ["-" if value is None else f"{value:.2f}" for value in found]
+        behind = base_of(row["agent"]) is not None and "no physics" not in row["scenario"]
+        told = row["scenario"] + (", physics behind it" if behind else "")
+        lines.append(f"| {told} | {' | '.join(cells)} |")
+    return [*lines, ""]

@@ -1,0 +1,19 @@
+"""Training of torque policies: stages, PPO, DAgger.
+
+Public names are imported when they are first used, so that a submodule is imported alone.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from agents.training.train import TrainArgs, train
+
+_HOMES = {"TrainArgs": "agents.training.train", "train": "agents.training.train"}
+__all__ = ["TrainArgs", "train"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)

@@ -1,0 +1,206 @@
+"""A student that learns from a teacher what to do where the student itself goes (DAgger)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.vec_env import VecEnv
+from torch import Tensor, nn
+
+from agents.agent import PolicyAgent
+from agents.policy.networks import TorquePolicy
+from agents.training.learner import StepObserver, TrainingError
+from agents.training.workers import Workers
+
+
+@dataclass(frozen=True)
+class DaggerConfig:
+    """How a student is taught.
+
+    Attributes:
+        rollout_steps: steps of every environment between updates.
+        updates: gradient steps between rollouts.
+        minibatch: visited states a gradient step.
+        capacity: visited states that are remembered.
+        learning_rate: at the start.
+        final_learning_rate: at the end of the budget; cosine in between.
+        mix_steps: environment steps over which the share of environments that the teacher
+            drives falls from one to nothing.
+        exploration: noise on the executed actions, as a share of the teacher's own noise.
+    """
+
+    rollout_steps: int = 16
+    updates: int = 16
+    minibatch: int = 1024
+    capacity: int = 400_000
+    learning_rate: float = 1e-3
+    final_learning_rate: float = 1e-4
+    mix_steps: int = 400_000
+    exploration: float = 0.3
+
+
+class Memory:
+    """Ring buffer of visited states and of what the teacher would have done there.
+
+    Args:
+        capacity: rows.
+        inputs: numbers of a sparse observation.
+        actions: numbers of an action.
+    """
+
+    def __init__(self, capacity: int, inputs: int, actions: int) -> None:
+        self.observations = torch.empty(capacity, inputs)
+        self.labels = torch.empty(capacity, actions)
+        self.size = self._next = 0
+
+    def add(self, observations: Tensor, labels: Tensor) -> None:
+        """Remember ``n`` states, forgetting the oldest."""
+        capacity = len(self.labels)
+        rows = (self._next + torch.arange(len(labels))) % capacity
+        self.observations[rows], self.labels[rows] = observations, labels
+        self._next = (self._next + len(labels)) % capacity
+        self.size = min(self.size + len(labels), capacity)
+
+    def sample(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Random states ``(count, D)`` and labels ``(count, 33)``."""
+        rows = torch.randint(self.size, (count,), generator=generator)
+        return self.observations.index_select(0, rows), self.labels.index_select(0, rows)
+
+
+class Dagger:
+    """Dataset aggregation (Ross et al. 2011): the student acts, the teacher labels.
+
+    The loss is the squared error of the actions over the teacher's variance by joint, which is
+    twice the KL divergence of two Gaussians with that variance: an error counts as much as the
+    teacher was careful, so light joints with small torques are not drowned by the legs.
+
+    Args:
+        env: VecEnv with the privileged observation; the student's part comes first.
+        teacher: bound to ``env``.
+        student: reads only the first columns of the observation.
+        config: see there.
+        seed: of mixing, noise and minibatches.
+        threads: that work side by side; the result does not depend on it.
+    """
+
+    def __init__(
+        self,
+        env: VecEnv,
+        teacher: PolicyAgent,
+        student: TorquePolicy,
+        config: DaggerConfig,
+        seed: int,
+        threads: int = 1,
+    ) -> None:
+        self.env, self.teacher, self.policy, self.config = env, teacher.policy, student, config
+        # Labels stay exact; only the student's own matrix products are coarse while it learns.
+        student.use_bfloat16(True)
+        self.num_timesteps = 0
+        self.generator = torch.Generator().manual_seed(seed)
+        self.inputs = max(stop for _, stop in student.layout.blocks.values())
+        self.memory = Memory(config.capacity, self.inputs, student.log_std.numel())
+        self.noise = self.teacher.log_std.detach().exp()
+        self._obs: np.ndarray | None = None
+        self._workers = Workers(threads)
+
+    def iterate(self, observe: StepObserver, progress: float) -> dict[str, float]:
+        """One rollout and the updates after it.
+
+        Args:
+            observe: told of every environment step.
+            progress: share of the budget that is used, 0 to 1.
+
+        Returns:
+            Figures to log.
+        """
+        self._collect(observe)
+        low, high = self.config.final_learning_rate, self.config.learning_rate
+        rate = low + 0.5 * (high - low) * (1 + float(np.cos(np.pi * min(progress, 1.0))))
+        return self._learn(rate) | {"train/learning_rate": rate, "train/teacher_share": self.beta}
+
+    @property
+    def beta(self) -> float:
+        """Share of environments that the teacher drives."""
+        return max(0.0, 1.0 - self.num_timesteps / max(1, self.config.mix_steps))
+
+    def _collect(self, observe: StepObserver) -> None:
+        n = self.env.num_envs
+        if self._obs is None:
+            self._obs = self.env.reset()  # type: ignore[assignment]
+        assert self._obs is not None
+        by_teacher = torch.rand(n, 1, generator=self.generator) < self.beta
+        for _ in range(self.config.rollout_steps):
+            obs = torch.from_numpy(self._obs)
+            # The teacher sees what the user did, even where the student is shown an estimate.
+            truth = torch.from_numpy(getattr(self.env, "true_observation", self._obs))
+            label, own = self._workers.run(
+                partial(_mean, self.teacher, truth), partial(_mean, self.policy, obs)
+            )
+            noise = torch.randn(label.shape, generator=self.generator) * self.noise
+            action = torch.where(by_teacher, label, own) + self.config.exploration * noise
+            self.memory.add(obs[:, : self.inputs], label)
+            self._obs, rewards, dones, infos = self.env.step(action.clamp(-1.0, 1.0).numpy())  # type: ignore[assignment]
+            self.num_timesteps += n
+            observe(rewards, dones, infos)
+
+    def _learn(self, rate: float) -> dict[str, float]:
+        policy, optimizer = self.policy, self.policy.optimizer
+        if policy.actor.norm.count.item() < self.config.capacity:
+            # Afterwards the statistics stay: the network need not follow a moving input.
+            newest = self.config.rollout_steps * self.env.num_envs
+            end = self.memory._next or len(self.memory.labels)
+            policy.update_norm(self.memory.observations[max(0, end - newest) : end])
+        total, parameters = 0.0, [p for p in policy.actor_parameters() if p is not policy.log_std]
+        for group in optimizer.param_groups:
+            group["lr"] = rate
+        for _ in range(self.config.updates):
+            sample = self.memory.sample(self.config.minibatch, self.generator)
+            halves = zip(*(part.chunk(2) for part in sample), strict=True)
+            (loss, gradients), *others = self._workers.run(
+                *(partial(self._gradients, *half, parameters) for half in halves)
+            )
+            for other_loss, other_gradients in others:
+                loss = loss + other_loss
+                gradients = [a + b for a, b in zip(gradients, other_gradients, strict=True)]
+            if not bool(torch.isfinite(loss)):
+                raise TrainingError("the loss is not finite", self.num_timesteps)
+            for parameter, gradient in zip(parameters, gradients, strict=True):
+                parameter.grad = gradient
+            torch.nn.utils.clip_grad_norm_(policy.actor_parameters(), 1.0)
+            optimizer.step()
+            total += loss.item()
+        return {"train/imitation_loss": total / self.config.updates}
+
+    def _gradients(
+        self, observations: Tensor, labels: Tensor, parameters: list[nn.Parameter]
+    ) -> tuple[Tensor, list[Tensor]]:
+        """Loss of a part of a minibatch, as its share of the whole, and its gradients."""
+        error = (self.policy.action_mean(observations) - labels) / self.noise
+        loss = error.square().sum() / (self.config.minibatch * labels.shape[1])
+        return loss.detach(), list(torch.autograd.grad(loss, parameters))
+
+    def state_dict(self) -> dict[str, Any]:
+        """What going on needs; the memory of visited states is not kept, it fills up again."""
+        return {
+            "steps": self.num_timesteps,
+            "policy": self.policy.state_dict(),
+            "optimizer": self.policy.optimizer.state_dict(),
+            "generator": self.generator.get_state(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from ``state_dict``."""
+        self.num_timesteps = state["steps"]
+        self.policy.load_state_dict(state["policy"])
+        self.policy.optimizer.load_state_dict(state["optimizer"])
+        self.generator.set_state(state["generator"])
+
+
+def _mean(policy: TorquePolicy, obs: Tensor) -> Tensor:
+    """Mean actions ``(n, 33)``, clipped as the environment would."""
+    with torch.no_grad():
+        return policy.action_mean(obs).clamp_(-1.0, 1.0)

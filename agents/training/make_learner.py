@@ -1,0 +1,146 @@
+"""What learns in a stage, before its first step: fresh, or from what was learnt before."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from agents.agent import new_policy
+from agents.policy.checkpoint import find_policy, find_teacher, load_critic, load_policy
+from agents.policy.networks import TorquePolicy
+from agents.policy.spec import Layout, initial_gains, noise_by_joint
+from agents.training.dagger import Dagger, DaggerConfig
+from agents.training.learner import Learner
+from agents.training.ppo import AdaptivePPO
+from agents.training.presets import PPOConfig, StageConfig
+from envs import QuestVecEnv
+from questsim.errors import InputError
+from questsim.skeleton import DOFS
+
+if TYPE_CHECKING:
+    from agents.training.train import TrainArgs
+
+
+def make_learner(
+    name: str, args: TrainArgs, config: StageConfig, env: QuestVecEnv, seed: int
+) -> Learner:
+    """What learns in a stage, before its first step.
+
+    Args:
+        name: of the stage.
+        args: options of the training; where teacher, student and start are looked for.
+        config: of the stage.
+        env: what it learns in.
+        seed: of everything that is random in it.
+
+    Raises:
+        InputError: a policy that it builds on is not there or does not fit.
+    """
+    if isinstance(config.learning, DaggerConfig):
+        return _student(args, config, config.learning, env, seed)
+    learner = make_ppo(config, config.learning, env, seed, args.threads)
+    if name == "teacher" and args.start is not None:
+        _begin_with(learner.policy, args.start)
+    if name == "finetune":
+        start = args.start or args.out / "student"
+        copy_actor(_starting_policy(start, env), learner.policy, start)
+        noise = noise_by_joint(
+            DOFS, config.learning.noise_legs_and_trunk, config.learning.noise_arms_and_neck
+        )
+        learner.policy.log_std.data.copy_(torch.as_tensor(np.log(noise)))
+    return learner
+
+
+def make_ppo(
+    config: StageConfig, ppo: PPOConfig, env: QuestVecEnv, seed: int, threads: int = 1
+) -> AdaptivePPO:
+    """PPO with a fresh policy for ``env``."""
+    noise = noise_by_joint(DOFS, ppo.noise_legs_and_trunk, ppo.noise_arms_and_neck)
+    return AdaptivePPO(
+        TorquePolicy,
+        env,
+        desired_kl=ppo.desired_kl,
+        final_kl=ppo.final_kl,
+        reward_scale=ppo.reward_scale,
+        bfloat16=ppo.bfloat16,
+        threads=threads,
+        learning_rate=ppo.learning_rate,
+        n_steps=ppo.rollout_steps,
+        batch_size=min(ppo.minibatch, ppo.rollout_steps * env.num_envs),
+        n_epochs=ppo.epochs,
+        gamma=ppo.gamma,
+        gae_lambda=ppo.gae_lambda,
+        clip_range=ppo.clip,
+        vf_coef=1.0,
+        max_grad_norm=ppo.max_grad_norm,
+        seed=seed,
+        policy_kwargs={
+            "spec": config.policy,
+            "layout": Layout.of(env.layout),
+            "gains": initial_gains(env.torque_limits, env.damping),
+            "noise": noise,
+            "learn_noise": ppo.learn_noise,
+            "critic_learning_rate": ppo.critic_learning_rate,
+        },
+    )
+
+
+def _student(
+    args: TrainArgs, config: StageConfig, learning: DaggerConfig, env: QuestVecEnv, seed: int
+) -> Dagger:
+    where = args.teacher or args.out / "teacher"
+    teacher = load_policy(find_teacher(where))
+    if not teacher.needs.privileged:
+        raise InputError("is no teacher: it does not read the reference", where, "use --teacher")
+    teacher.bind(env)
+    sparse = Layout.of(env.layout).within(config.policy.actor_blocks)
+    student = new_policy(config.policy, sparse, learning.learning_rate)
+    # Of several stages, --start is where the teacher begins.
+    if args.start is not None and args.stage == "student":
+        copy_actor(_starting_policy(args.start, env), student, args.start)
+    elif student.head is not None and teacher.policy.head is not None:
+        # The stiffness that the teacher found is a good start for what imitates it.
+        student.head.load_state_dict(teacher.policy.head.state_dict())
+    student.log_std.data.copy_(teacher.policy.log_std.data)
+    return Dagger(env, teacher, student, learning, seed, args.threads)
+
+
+def _starting_policy(where: Path, env: QuestVecEnv) -> TorquePolicy:
+    """A policy to train further, which fits ``env``."""
+    start = load_policy(find_policy(where))
+    start.bind(env)
+    return start.policy
+
+
+def _begin_with(policy: TorquePolicy, teacher: Path) -> None:
+    """Take the networks, critic included, and normalisers of another teacher.
+
+    Raises:
+        InputError: there is none, or its networks differ.
+    """
+    folder = find_teacher(teacher)
+    copy_actor(load_policy(folder).policy, policy, teacher)
+    load_critic(folder, policy)
+
+
+def copy_actor(source: TorquePolicy, target: TorquePolicy, where: Path) -> None:
+    """Give ``target`` the networks, normaliser and gains of a policy without critic.
+
+    Args:
+        source, target: policies.
+        where: the source came from, for messages.
+
+    Raises:
+        InputError: if their networks differ.
+    """
+    state = {k: v for k, v in source.state_dict().items() if not k.startswith("critic.")}
+    try:
+        missing, unexpected = target.load_state_dict(state, strict=False)
+        fits = not unexpected and all(name.startswith("critic.") for name in missing)
+    except RuntimeError:  # of another shape
+        fits = False
+    if not fits:
+        raise InputError("its networks do not fit this preset's", where, "see --start")

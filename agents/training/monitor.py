@@ -1,0 +1,145 @@
+"""What a training tells while it runs: TensorBoard curves and one line of progress."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+from stable_baselines3.common.logger import configure
+
+from agents.evaluation.follow import Followed
+from questsim.reward import TERMS
+
+
+class Monitor:
+    """Gathers what happens between two log points and writes it for TensorBoard.
+
+    Args:
+        env: the training environment; its ``reward_terms`` are read after each step, and its
+            ``unstable_count`` where something is written.
+        folder: for TensorBoard's files.
+    """
+
+    def __init__(self, env: Any, folder: Path) -> None:
+        self._env = env
+        self._logger = configure(str(folder), ["tensorboard"])
+        self._begin()
+        self.reward = 0.0
+
+    def _begin(self) -> None:
+        self._since = time.perf_counter()
+        self._steps = 0
+        self._reward, self._terms = 0.0, np.zeros(len(TERMS))
+        self._lengths: list[int] = []
+        self._ended: Counter[str] = Counter()
+        self._fallen: Counter[str] = Counter()
+
+    def observe(self, rewards: np.ndarray, dones: np.ndarray, infos: list[dict[str, Any]]) -> None:
+        """Take in one step: rewards and dones ``(n,)``, infos of those that ended."""
+        self._steps += len(rewards)
+        self._reward += float(rewards.sum())
+        self._terms += self._env.reward_terms.sum(0)
+        for i in np.flatnonzero(dones):
+            info = infos[i]
+            self._lengths.append(info["episode"]["l"])
+            self._ended[info["kind"]] += 1
+            self._fallen[info["kind"]] += bool(info["fell"])
+
+    def write(self, step: int, figures: dict[str, float]) -> float:
+        """Write everything since the last call; returns environment steps a second."""
+        rate = self._steps / max(time.perf_counter() - self._since, 1e-9)
+        self.reward = self._reward / max(self._steps, 1)
+        record = self._logger.record
+        record("rollout/reward", self.reward)
+        for name, value in zip(TERMS, self._terms / max(self._steps, 1), strict=True):
+            record(f"reward/{name}", float(value))
+        if self._lengths:
+            record("rollout/episode_frames", float(np.mean(self._lengths)))
+            record("rollout/fell", sum(self._fallen.values()) / sum(self._ended.values()))
+        for kind, ended in self._ended.items():
+            record(f"falls/{kind or 'unknown'}", self._fallen[kind] / ended)
+        record("rollout/unstable_count", self._env.unstable_count)
+        record("time/steps_per_second", rate)
+        for name, value in figures.items():
+            record(name, value)
+        self._logger.dump(step)
+        self._begin()
+        return rate
+
+    def write_evaluation(self, step: int, followed: Followed) -> None:
+        """Write the outcome of an evaluation on the fixed set."""
+        for name, value in evaluation_figures(followed).items():
+            self._logger.record(f"evaluation/{name}", value)
+        self._logger.dump(step)
+
+    def close(self) -> None:
+        """Close TensorBoard's file."""
+        self._logger.close()
+
+
+def evaluation_figures(followed: Followed) -> dict[str, float]:
+    """What is kept of an evaluation: overall, and the share tracked by kind of motion."""
+    figures = {
+        "score": followed.score,
+        "tracked": followed.tracked,
+        "link_error_cm": followed.error_cm,
+    }
+    for kind in sorted(set(followed.kinds)):
+        these = np.array([k == kind for k in followed.kinds])
+        figures[f"tracked_{kind or 'unknown'}"] = float(1.0 - followed.fell[these].mean())
+    return {name: round(float(value), 4) for name, value in figures.items()}
+
+
+class Display:
+    """One progress bar on a terminal; a line each evaluation where there is none."""
+
+    def __init__(self) -> None:
+        self._console = Console()
+        self._bar = Progress(
+            TextColumn("[bold]{task.description:8}"),
+            BarColumn(bar_width=20),
+            TextColumn("{task.fields[text]}"),
+            console=self._console,
+            disable=not self._console.is_terminal,
+        )
+        self._task = self._bar.add_task("", total=1.0, text="")
+
+    def __enter__(self) -> Display:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def update(
+        self,
+        stage: str,
+        progress: float,
+        steps: int,
+        rate: float,
+        left_s: float,
+        reward: float,
+        tracked: float,
+    ) -> None:
+        """Redraw: share of the budget used, steps and steps/s, seconds left, clips tracked."""
+        text = (
+            f"{steps / 1e6:.2f} M steps  {rate / 1e3:.1f} k/s  reward {reward:.3f}  "
+            f"tracked {100 * tracked:.0f} %"
+        )
+        self.show(stage, progress, text, left_s)
+
+    def show(self, stage: str, progress: float, text: str, left_s: float) -> None:
+        """Redraw with any text: share of the budget used, seconds left."""
+        left = f"{int(left_s // 60)}:{int(left_s % 60):02d} left" if np.isfinite(left_s) else ""
+        self._bar.update(
+            self._task, description=stage, completed=min(progress, 1.0), text=f"{text}  {left}"
+        )
+
+    def say(self, line: str) -> None:
+        """Print a line above the bar."""
+        self._console.print(line, highlight=False, soft_wrap=True)

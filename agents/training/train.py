@@ -1,0 +1,384 @@
+"""Training from the command line: stages, budgets, resuming."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+
+from agents.agent import Needs, PolicyAgent
+from agents.evaluation.follow import Followed, choose_clips, evaluation_sim, follow
+from agents.overrides import with_overrides
+from agents.policy.checkpoint import CARD_FILE, find_policy, read_card
+from agents.run_folder import (
+    RECORD,
+    check_same_run,
+    data_record,
+    note_resume,
+    read_run,
+    refuse_existing,
+    start_run,
+)
+from agents.training.learner import Learner
+from agents.training.make_learner import make_learner
+from agents.training.monitor import Display
+from agents.training.ppo import AdaptivePPO
+from agents.training.presets import PRESETS, PPOConfig, Preset, StageConfig, shown_estimates
+from agents.training.stage import Budget, Stage, Stopper
+from envs import QuestVecEnv
+from envs.config import EnvConfig
+from envs.objects import objects_named
+from envs.pushes import Pushes
+from envs.randomisation import Randomisation
+from envs.terrain import terrain_named
+from questsim.errors import InputError, at_least
+from questsim.motion.clip import Clip
+
+INTERRUPTED = 130
+Pairs = dict[str, tuple[Clip, Clip]]
+_PAUSE_S = (1.0, 4.0)
+"""Between pushes: long enough to recover from one before the next."""
+MAY_DIFFER_ON_RESUME = {
+    "minutes",
+    "steps",
+    "resume",
+    "stage",
+    "threads",
+    "out",
+    "teacher",
+    "set",
+    "start",
+    "agent",  # records from before there were kinematic agents lack it
+}
+
+
+@dataclass(frozen=True)
+class TrainArgs:
+    """Train a policy that drives the avatar by torques, or a kinematic system."""
+
+    out: Path
+    """Folder of the run: record, checkpoints, TensorBoard logs."""
+    agent: Literal["policy", "sparseposer", "dragposer", "hmdposer", "lgsik"] = "policy"
+    """A torque policy, or a kinematic system (docs/agents.md)."""
+    motions: str = "synthetic"
+    """What to learn: synthetic, a dataset (bandai-namco-2:train), a library, file or folder."""
+    preset: Literal["cpu", "paper", "smoke"] = "cpu"
+    """What learns on two cores, what was published, or a test of two minutes."""
+    stage: Literal["all", "teacher", "student", "finetune", "ppo"] = "all"
+    """One stage alone, with the whole time for itself."""
+    minutes: float | None = None
+    """Time for everything, earlier parts of a resumed run included; by default the preset's."""
+    steps: int | None = None
+    """Environment steps of each stage, instead of the preset's limit."""
+    resume: bool = False
+    """Go on with the run in --out."""
+    teacher: Path | None = None
+    """A teacher for the student stage: a folder or a shipped name; by default the run's own."""
+    start: Path | None = None
+    """A teacher, by folder or shipped name, whose weights the teacher begins with; with --stage
+    student or finetune, a policy (a run, a stage, a shipped name) that is trained further; with a
+    kinematic --agent, a system of that agent and these sizes."""
+    estimates: str | None = None
+    """Libraries of questsim estimate, joined by commas, of --motions: what learns with --stage
+    student or finetune is a tracker that is shown these, and what they are of, while its teacher
+    sees, and its reward is for, what the users did."""
+    sensors: str = "H+2C"
+    """What the policy sees of the user."""
+    future_frames: int = 6
+    """How many frames ahead it sees the sensors (0 to 6)."""
+    heights: tuple[float, float] | None = None
+    """Statures in metres to train with, by default the motions' own."""
+    mirrored: bool = False
+    """Learn every clip mirrored as well."""
+    env: str | None = None
+    """Ground to learn on: rough, slope, stairs, course, mixed (flat, rough and sloping), ..., or
+    rough:amplitude_m=0.06; flat by default. With --start a policy goes on there."""
+    pushes: tuple[float, float] | None = None
+    """Push the avatars every 1 to 4 s for 0.2 s at the chest, with this least and greatest force in
+    newtons, in any direction."""
+    objects: tuple[str, ...] = ()
+    """Things on the clips' paths, to stumble over and to kick: ball, box, hurdle, chair."""
+    randomisation: Randomisation = field(default_factory=Randomisation)
+    """What differs between the simulations."""
+    hold_out: str = ""
+    """Styles, joined by commas, that are not learnt from but evaluated on."""
+    envs: int | None = None
+    """Simulations in the batch, by default the preset's."""
+    threads: int = 2
+    """Threads of physics and networks."""
+    seed: int = 0
+    """Of everything that is random."""
+    set: tuple[str, ...] = ()
+    """Values of the preset to change, e.g. stages.teacher.learning.desired_kl=0.06."""
+
+
+def train(args: TrainArgs) -> int:
+    """Run a training; returns the exit code.
+
+    Raises:
+        InputError: for options, motions or a run folder that cannot be used.
+    """
+    args = replace(args, teacher=_from_anywhere(args.teacher), start=_from_anywhere(args.start))
+    if args.agent != "policy":
+        from agents.kinematic.training import train_kinematic
+
+        return train_kinematic(args)
+    at_least(1, threads=args.threads, envs=args.envs, steps=args.steps)
+    at_least(0, minutes=args.minutes, seed=args.seed)
+    preset = with_overrides(PRESETS[args.preset], args.set)
+    names = _stage_names(args, preset)
+    if args.resume:
+        read_run(args.out)
+    else:
+        refuse_existing(args.out)
+    clips = load_clips(args)
+    shown = _estimates(args, clips)
+    if shown is None:
+        data = data_record(args.motions, clips)
+    else:
+        clips = [truth for truth, _ in shown.values()]
+        data = data_record(args.motions, [seen for _, seen in shown.values()])
+    if args.resume:
+        check_same_run(read_run(args.out), args, data, MAY_DIFFER_ON_RESUME, args.out)
+
+    def begin() -> None:
+        # Not earlier: options and motions that a stage refuses leave no run behind.
+        if not (args.out / RECORD).exists():
+            start_run(args.out, args, preset, data, shipped_behind(args.start, args.teacher))
+        elif not noted:
+            note_resume(args.out, args, preset, shipped_behind(args.start, args.teacher))
+        noted.append(True)
+
+    noted: list[bool] = []
+
+    torch.set_num_threads(1)  # the learners' own workers share the cores; see workers.py
+    stopper = Stopper()
+    with Display() as display, stopper.listening():
+        for name in names:
+            _run_stage(name, args, preset, clips, shown, data, display, stopper, begin)
+            if stopper.requested:
+                display.say(f"stopped; go on with --resume --out {args.out}")
+                return INTERRUPTED
+        display.say(_outcome(args.out))
+    return 0
+
+
+def _from_anywhere(policy: Path | None) -> Path | None:
+    """A policy's path so that the run's record means it in any folder; names stay names.
+
+    A folder that merely has a shipped policy's name, as the package ``questsim`` has, is no path.
+    """
+    if policy is None or not policy.exists():
+        return policy
+    try:
+        found = find_policy(policy)
+    except InputError:  # refused later, by what needs it
+        return policy.absolute()
+    return policy.absolute() if found.is_relative_to(policy) else policy
+
+
+def shipped_behind(start: Path | None, teacher: Path | None) -> dict[str, Any]:
+    """How the shipped policies that ``--start`` and ``--teacher`` name were trained."""
+    named = {"start": start, "teacher": teacher}
+    found = {option: find_policy(name) for option, name in named.items() if name is not None}
+    cards = {option: read_card(folder).get("training", {}) for option, folder in found.items()}
+    # A run's own folder tells by itself.
+    return {option: training for option, training in cards.items() if "stages" in training}
+
+
+def _outcome(out: Path) -> str:
+    """Where the policy is, if the training kept one."""
+    try:
+        return f"trained: {find_policy(out)}"
+    except InputError:  # a fine-tuning keeps only what is better than its start
+        return f"no better than its start yet; go on with --resume --out {out}"
+
+
+def load_clips(args: TrainArgs) -> list[Clip]:
+    """The clips of ``--motions``, on the data's own statures."""
+    from questsim.motion.spec import load_motions
+
+    return load_motions(args.motions, mirrored=args.mirrored, seed=args.seed)
+
+
+def _estimates(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
+    """By name what the user did and what is shown of it: each estimate, and once the truth.
+
+    Raises:
+        InputError: the stage has no use for estimates, or they are not of these clips.
+    """
+    from questsim.motion.retarget import to_clip
+    from questsim.motion.retarget_back import to_motion
+    from questsim.motion.spec import load_motions
+
+    if args.estimates is None:
+        return None
+    if args.stage not in ("student", "finetune"):
+        fix = "add --stage student or finetune"
+        raise InputError(f"are not for stage {args.stage}", "--estimates", fix)
+    if args.mirrored:
+        raise InputError("are not mirrored", "--estimates", "leave out --mirrored")
+    known = {clip.name: clip for clip in clips}
+    pairs: Pairs = {}
+    for estimate in load_motions(args.estimates, seed=args.seed):
+        user, at, _ = estimate.name.rpartition("@")
+        if not at or user not in known:
+            raise InputError(
+                f"{estimate.name!r} is an estimate of none of --motions",
+                args.estimates,
+                "name a library that questsim estimate made of them",
+            )
+        if known[user].height_m != estimate.height_m:
+            # Estimates are of recordings, and a recording's stature is measured on its bones.
+            known[user] = to_clip(to_motion(known[user]))
+        name, again = estimate.name, 2
+        while name in pairs:  # of the same system, from other devices
+            name, again = f"{estimate.name} {again}", again + 1
+        pairs[name] = replace(known[user], name=name), estimate
+        pairs[user] = known[user], known[user]  # what is estimated well is to be followed as well
+    return pairs
+
+
+def _stage_names(args: TrainArgs, preset: Preset) -> list[str]:
+    if args.stage == "all":
+        return [name for name, stage in preset.stages.items() if stage.share > 0]
+    if args.stage not in preset.stages:
+        raise InputError(
+            f"preset {args.preset} has no stage {args.stage!r}",
+            "--stage",
+            f"it has {', '.join(preset.stages)}",
+        )
+    return [args.stage]
+
+
+def _run_stage(
+    name: str,
+    args: TrainArgs,
+    preset: Preset,
+    clips: Sequence[Clip],
+    shown: Pairs | None,
+    data: dict[str, Any],
+    display: Display,
+    stopper: Stopper,
+    begin: Callable[[], None],
+) -> None:
+    config = preset.stages[name]
+    if shown is not None:
+        config = shown_estimates(name, config)
+    env_config = _env_config(args, preset, config)
+    learnt, validation = split_validation(clips, args.hold_out, preset.validation_clips)
+    # Each stage has its own stream of random numbers, whether it runs alone or after another.
+    seed = args.seed + 1000 * list(preset.stages).index(name)
+    torch.manual_seed(seed)
+
+    def seen(part: Sequence[Clip]) -> list[Clip] | None:
+        return None if shown is None else [shown[clip.name][1] for clip in part]
+
+    count = preset.num_envs if args.envs is None else args.envs
+    env = QuestVecEnv(learnt, env_config, count, seed, args.threads, seen(learnt))
+    sim = evaluation_sim(
+        validation,
+        replace(env_config, fixed_start=True, max_error_m=EnvConfig().max_error_m),
+        args.threads,
+        shown=seen(validation),
+    )
+
+    def validate(agent: PolicyAgent) -> Followed:
+        agent.bind(sim)
+        return follow(agent, sim, validation)
+
+    try:
+        learner = make_learner(name, args, config, env, seed)
+        stage = Stage(
+            name=name,
+            learner=learner,
+            env=env,
+            needs=Needs(
+                sensors=args.sensors,
+                future_frames=args.future_frames,
+                privileged="privileged" in config.policy.actor_blocks,
+                body_preset=preset.body_preset,
+            ),
+            folder=args.out / name,
+            budget=_budget(name, args, preset),
+            validate=validate,
+            evaluate_every=config.evaluate_every,
+            record={"preset": args.preset, "seed": args.seed, "threads": args.threads, **data},
+            must_improve=name == "finetune",
+            before_iteration=_schedule(config, learner),
+        )
+        if args.resume and (stage.folder / "last" / CARD_FILE).exists():
+            stage.resume()
+        begin()
+        stage.run(display, stopper)
+    finally:
+        sim.close()
+        env.close()
+
+
+def _env_config(args: TrainArgs, preset: Preset, config: StageConfig) -> EnvConfig:
+    return EnvConfig(
+        sensors=args.sensors,
+        future_frames=args.future_frames,
+        heights=args.heights,
+        body_preset=preset.body_preset,
+        reward=config.reward,
+        privileged=config.privileged,
+        sampling=config.sampling,
+        max_error_m=config.max_error_m,
+        terrain=None if args.env is None else terrain_named(args.env, "--env"),
+        pushes=None if args.pushes is None else Pushes(args.pushes, pause_s=_PAUSE_S),
+        objects=objects_named(args.objects, "--objects"),
+        randomisation=None if args.randomisation == Randomisation() else args.randomisation,
+    )
+
+
+def split_validation(
+    clips: Sequence[Clip], hold_out: str, count: int
+) -> tuple[list[Clip], list[Clip]]:
+    """Clips to learn from, and the fixed set on which checkpoints are compared.
+
+    Args:
+        clips: all.
+        hold_out: styles that are only evaluated on; without any, the fixed set is a part of
+            what is learnt.
+        count: size of the fixed set.
+
+    Raises:
+        InputError: if there is no such style, or nothing is left to learn.
+    """
+    styles = {style.strip() for style in hold_out.split(",") if style.strip()}
+    unknown = styles - {clip.style for clip in clips}
+    if unknown:
+        raise InputError(f"no clip has style {sorted(unknown)[0]!r}", "--hold-out")
+    learnt = [clip for clip in clips if clip.style not in styles]
+    if not learnt:
+        raise InputError("nothing is left to learn", "--hold-out")
+    held = [clip for clip in clips if clip.style in styles]
+    return learnt, choose_clips(held or learnt, count)
+
+
+def _budget(name: str, args: TrainArgs, preset: Preset) -> Budget:
+    config = preset.stages[name]
+    minutes = preset.minutes if args.minutes is None else args.minutes
+    if args.steps is not None and args.minutes is None:
+        minutes = None
+    share = 1.0 if args.stage != "all" else config.share
+    seconds = None if minutes is None else 60.0 * minutes * share
+    return Budget(seconds, config.steps if args.steps is None else args.steps)
+
+
+def _schedule(config: StageConfig, learner: Learner) -> Any:
+    """Keeps the actor fixed while a new critic learns what it is worth."""
+    if not isinstance(learner, AdaptivePPO) or not isinstance(config.learning, PPOConfig):
+        return None
+    warmup = config.learning.critic_warmup_steps
+
+    def freeze(ppo: AdaptivePPO, steps: int) -> None:
+        ppo.actor_frozen = steps < warmup
+
+    return partial(freeze, learner) if warmup else None

@@ -1,0 +1,1 @@
+"""Embedded motions, made from a few parameters."""
