@@ -17,7 +17,7 @@ import torch
 
 from agents.comparison.scenarios import SIX
 from agents.kinematic.data import MotionBank
-from agents.kinematic.interface import Body, KinematicSystem
+from agents.kinematic.interface import KinematicSystem, UserBody
 from agents.kinematic.registry import AGENTS
 from benchmarks.common import arguments, report, seconds
 from questsim.cli import guarded
@@ -62,7 +62,7 @@ def measure(preset: str, motion: Motion, frames: int, rounds: int) -> dict[str, 
     times: dict[str, list[float]] = {name: [] for name in systems}
     for _ in range(rounds):
         for name, (system, sequence) in systems.items():
-            times[name] += _streamed(system, sequence, Body.of(motion), frames)
+            times[name] += _streamed(system, sequence, UserBody.of(motion), frames)
     figures = {}
     for name, found in times.items():
         ms = 1000.0 * statistics.median(found)
@@ -88,7 +88,7 @@ def untrained(
 
 
 def _streamed(
-    system: KinematicSystem, sequence: SensorSequence, body: Body, frames: int
+    system: KinematicSystem, sequence: SensorSequence, body: UserBody, frames: int
 ) -> list[float]:
     """Seconds of each frame but the first few, in which a stream settles."""
     system.reset(body, sequence.names)

@@ -43,7 +43,7 @@ class EnvConfig:
             and with ``fixed_start`` at the same place every time.
         height_scan: append the heights of the ground around the avatar to the observation.
         pushes: forces on the avatar at random times, None for none.
-        objects: things in its way.
+        objects: objects in its way.
         randomisation: what differs between the simulations of a batch, None for nothing.
     """
 
@@ -107,6 +107,6 @@ def config_from(options: Mapping[str, Any]) -> EnvConfig:
         options["terrain"] = terrain_named(options["terrain"])
     if "objects" in options:
         options["objects"] = tuple(
-            WorldObject(thing) if isinstance(thing, str) else thing for thing in options["objects"]
+            WorldObject(obj) if isinstance(obj, str) else obj for obj in options["objects"]
         )
     return EnvConfig(**options)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from envs.footing import Target, fill, legs
+from envs.footsteps import footsteps_of
 from envs.placement import turn_quat, turned
-from envs.steps import steps_of
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.heightfield import HeightField
@@ -32,7 +32,7 @@ def footed_clip(clip: Clip, place: np.ndarray, field: HeightField | None) -> Cli
     fill(
         0, frames, rows, rows, np.zeros(frames, np.int64), np.full(frames, frames),
         np.zeros(1, np.int64), np.full(frames, clip.height_m / DEFAULT_HEIGHT_M),
-        common.qpos, common.link_position, common.link_quat, steps_of([common]),
+        common.qpos, common.link_position, common.link_quat, footsteps_of([common]),
         many, field.height, field.ground, np.array([*field.origin, field.cell_m]), legs(), 1.0,
         target.angles, target.position, target.quat, target.rise,
     )  # fmt: skip

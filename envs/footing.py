@@ -278,7 +278,7 @@ def _bearing(
         leg: 0 or 1.
         row: of the reference.
         place, surface, grid, soles, scale: as of ``_stance``.
-        steps: ``Steps`` of all rows.
+        steps: ``Footsteps`` of all rows.
         ref: places and orientations of the links in all rows.
         lift: of the clip, metres.
         pelvis_rise: of the clip, m/s.
@@ -476,7 +476,7 @@ def fill(
         first, last, ids, frame, begin, end, ratio, ref_*, place, ground, grid: as of
             ``kernels.observe``.
         offsets: ``(k,)`` frames ahead.
-        steps: ``Steps`` of the reference; empty ones will do on a plane.
+        steps: ``Footsteps`` of the reference; empty ones will do on a plane.
         surface: ``(rows, columns)`` height of what collides, on the grid of ``ground``.
         legs: of the 1.75 m body.
         walking: 0 to 1, whether feet of who walks are put on the ground as well, or only those of

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from envs.chance import Chance, within
+from envs.episode_random import EpisodeRandom, within
 from envs.objects import WorldObject
 from envs.placement import Placement, moved
 from envs.reference import Reference
@@ -29,20 +29,20 @@ class Objects:
 
     Args:
         objects: options.
-        chance: numbers to draw from.
+        random: numbers to draw from.
         qpos, qvel, sensors: bound fields of the batch.
     """
 
     def __init__(
         self,
         objects: Sequence[WorldObject],
-        chance: Chance,
+        random: EpisodeRandom,
         qpos: np.ndarray,
         qvel: np.ndarray,
         sensors: np.ndarray,
     ) -> None:
         n, count = len(qpos), len(objects)
-        self._objects, self._chance = objects, chance
+        self._objects, self._random = objects, random
         # Chairs first: where somebody sits nothing else can be.
         self._order = sorted(range(count), key=lambda number: objects[number].kind != "chair")
         self._seats: np.ndarray | None = None
@@ -67,7 +67,7 @@ class Objects:
         """Put the objects of episodes ``ids``, which begin at ``rows`` of the reference, down."""
         if not self._objects:
             return
-        numbers = self._chance.draw(clips, 2 * len(self._objects))
+        numbers = self._random.draw(clips, 2 * len(self._objects))
         roots = reference.qpos[:, :3]
         scale, place = ratio[ids, None], placement.place[ids]
         last = reference.end[clips] - 1
@@ -75,20 +75,20 @@ class Objects:
         self._qvel[ids] = 0.0
         taken: list[np.ndarray] = []
         for number in self._order:
-            thing = self._objects[number]
-            ahead = within(numbers[:, 2 * number], thing.ahead_s) * FPS
+            obj = self._objects[number]
+            ahead = within(numbers[:, 2 * number], obj.ahead_s) * FPS
             there = np.minimum(rows + ahead.astype(np.int64), last)
             spot = moved(place, roots[there].astype(float) * scale)[:, :2]
             before = moved(place, roots[np.maximum(there - 9, rows)].astype(float) * scale)[:, :2]
             travel = self._direction(spot - before, place, reference.qpos[rows, 3:7])
-            spot = spot + within(numbers[:, 2 * number + 1], thing.aside_m)[:, None] * np.stack(
+            spot = spot + within(numbers[:, 2 * number + 1], obj.aside_m)[:, None] * np.stack(
                 [-travel[:, 1], travel[:, 0]], axis=-1
             )
             spot = _kept_away(spot, begin, travel, CLEARANCE_M)
             for _ in taken:  # what keeps away from one may meet another
                 for other in taken:
                     spot = _kept_away(spot, other, travel, APART_M)
-            if thing.kind == "chair":
+            if obj.kind == "chair":
                 self._under_sitters(reference, clips, place, scale, spot, travel)
             taken.append(spot)
             self.pose[ids, number, :2] = spot
@@ -121,15 +121,15 @@ class Objects:
 
     def seed(self, seed: int) -> None:
         """Begin the stream of places anew."""
-        self._chance.seed(seed)
+        self._random.seed(seed)
 
     def get_state(self) -> Any:
         """What the coming places depend on."""
-        return self._chance.get_state()
+        return self._random.get_state()
 
     def set_state(self, state: Any) -> None:
         """Take up what ``get_state`` gave."""
-        self._chance.set_state(state)
+        self._random.set_state(state)
 
     @staticmethod
     def _direction(step: np.ndarray, place: np.ndarray, quat: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Things in the avatar's way: bodies that physics moves, and that move the avatar."""
+"""Objects in the avatar's way: bodies that physics moves, and that move the avatar."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 from envs.pushes import check_range
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
-from questsim.things import Part as Shape
+from questsim.objects import ObjectShape
 
 _BOX, _SPHERE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
-Part = tuple[mujoco.mjtGeom, tuple[float, float, float], tuple[float, float, float]]
+_Geom = tuple[mujoco.mjtGeom, tuple[float, float, float], tuple[float, float, float]]
 
 # Parts: geom, half sizes and place in metres, the object's lowest point at z = 0 and its front
 # along x. The ball is a football of size 5 (Laws of the Game, law 2: 68-70 cm around, 410-450 g).
-_SHAPES: dict[str, tuple[float, tuple[Part, ...]]] = {
+_SHAPES: dict[str, tuple[float, tuple[_Geom, ...]]] = {
     "ball": (0.43, ((_SPHERE, (0.11, 0.0, 0.0), (0.0, 0.0, 0.11)),)),
     "box": (5.0, ((_BOX, (0.15, 0.2, 0.1), (0.0, 0.0, 0.1)),)),
     "hurdle": (
@@ -48,7 +48,7 @@ _NET_FORCE = [2, 3, 1]
 
 @dataclass(frozen=True)
 class WorldObject:
-    """A thing put on the ground beside or on the path of each episode's clip.
+    """An object put on the ground beside or on the path of each episode's clip.
 
     Attributes:
         kind: one of ``OBJECTS``: a football, a box of 30 x 40 x 20 cm, a hurdle
@@ -96,30 +96,30 @@ def objects_named(names: Sequence[str], where: str = "objects") -> tuple[WorldOb
     return tuple(WorldObject(name) for name in names)
 
 
-def _scaled(part: Part, scale: float) -> Part:
+def _scaled(part: _Geom, scale: float) -> _Geom:
     kind, (a, b, c), (x, y, z) = part
     return kind, (scale * a, scale * b, scale * c), (scale * x, scale * y, scale * z)
 
 
-def _made_of(thing: WorldObject, height_m: float) -> tuple[float, tuple[Part, ...]]:
+def _made_of(obj: WorldObject, height_m: float) -> tuple[float, tuple[_Geom, ...]]:
     """An object's mass and parts beside an avatar of that stature."""
-    mass, parts = _SHAPES[thing.kind]
-    if thing.kind == "chair":
+    mass, parts = _SHAPES[obj.kind]
+    if obj.kind == "chair":
         scale = height_m / DEFAULT_HEIGHT_M
         mass, parts = mass * scale**3, tuple(_scaled(part, scale) for part in parts)
-    return mass if thing.mass_kg is None else thing.mass_kg, parts
+    return mass if obj.mass_kg is None else obj.mass_kg, parts
 
 
-def shapes_of(thing: WorldObject, height_m: float = DEFAULT_HEIGHT_M) -> tuple[Shape, ...]:
+def shapes_of(obj: WorldObject, height_m: float = DEFAULT_HEIGHT_M) -> tuple[ObjectShape, ...]:
     """What an object looks like.
 
     Args:
-        thing: the object.
+        obj: the object.
         height_m: the avatar's stature, which chairs are made for.
     """
     return tuple(
-        Shape("ball", size[:1], place) if kind == _SPHERE else Shape("box", size, place)
-        for kind, size, place in _made_of(thing, height_m)[1]
+        ObjectShape("ball", size[:1], place) if kind == _SPHERE else ObjectShape("box", size, place)
+        for kind, size, place in _made_of(obj, height_m)[1]
     )
 
 
@@ -133,8 +133,8 @@ def add_objects(
         objects: what to add.
         height_m: the avatar's stature, which chairs are made for.
     """
-    for number, thing in enumerate(objects):
-        mass, parts = _made_of(thing, height_m)
+    for number, obj in enumerate(objects):
+        mass, parts = _made_of(obj, height_m)
         body = spec.worldbody.add_body(name=f"object{number}", pos=[3.0 + number, 0.0, 0.0])
         body.add_freejoint(name=f"object{number}")
         # Boxes are solid and alike: mass by volume. A ball is its only part.

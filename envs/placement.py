@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from envs.chance import Chance
+from envs.episode_random import EpisodeRandom
 from envs.reference import Reference
 from envs.terrain import COURSE, MARGIN_M, Terrain, height_field, tile_centre
 from questsim import rotations as rot
@@ -47,7 +47,7 @@ class Placement:
     ) -> None:
         self._terrain, self._ratio = terrain, ratio
         # A stream of its own: a terrain does not change which clips are drawn.
-        self._chance = Chance(reference.names, seed, 1, fixed)
+        self._random = EpisodeRandom(reference.names, seed, 1, fixed)
         self.place = np.zeros((len(ratio), 4))
         self.place[:, 2] = 1.0
         self.tile = np.zeros((len(ratio), 2), np.int64)
@@ -70,14 +70,14 @@ class Placement:
 
     def seed(self, seed: int) -> None:
         """Begin the stream of places anew."""
-        self._chance.seed(seed)
+        self._random.seed(seed)
 
     def draw(self, ids: np.ndarray, clips: np.ndarray) -> None:
         """Choose places of simulations ``ids`` that begin to play ``clips``."""
         terrain, field = self._terrain, self.field
         if terrain is None or field is None:
             return
-        numbers = self._chance.draw(clips, 5)
+        numbers = self._random.draw(clips, 5)
         if terrain.direction == "any":
             turn = 2.0 * np.pi * numbers[:, 0]
         else:
@@ -100,14 +100,14 @@ class Placement:
     def get_state(self) -> dict[str, Any]:
         """Random numbers and places, to resume from."""
         return {
-            "rng": self._chance.get_state(),
+            "rng": self._random.get_state(),
             "place": self.place.copy(),
             "tile": self.tile.copy(),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Take up what ``get_state`` gave."""
-        self._chance.set_state(state["rng"])
+        self._random.set_state(state["rng"])
         self.place[:], self.tile[:] = state["place"], state["tile"]
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from envs.chance import Chance, within
+from envs.episode_random import EpisodeRandom, within
 from questsim.errors import InputError
 from questsim.motion.clip import FPS
 from questsim.skeleton import LINKS
@@ -75,16 +75,16 @@ class Pusher:
 
     Args:
         pushes: options, None for none.
-        chance: numbers to draw from.
+        random: numbers to draw from.
         wrench: the batch's bound ``xfrc_applied`` ``(n, bodies, 6)``.
 
     Attributes:
         force: ``(n, 3)`` N, world: what is pushed with in the present step.
     """
 
-    def __init__(self, pushes: Pushes | None, chance: Chance, wrench: np.ndarray) -> None:
+    def __init__(self, pushes: Pushes | None, random: EpisodeRandom, wrench: np.ndarray) -> None:
         n = len(wrench)
-        self._pushes, self._chance, self._wrench = pushes, chance, wrench
+        self._pushes, self._random, self._wrench = pushes, random, wrench
         self.force = np.zeros((n, 3))
         self._wish = np.zeros((n, 3))
         self._left_s = np.zeros(n)
@@ -118,7 +118,7 @@ class Pusher:
         pushes = self._pushes
         if pushes is None or len(ids) == 0:
             return
-        numbers = self._chance.draw(self._clip[ids], 4, self._done[ids])
+        numbers = self._random.draw(self._clip[ids], 4, self._done[ids])
         self._pause_s[ids] = within(numbers[:, 0], pushes.pause_s)
         if pushes.count is not None:
             self._pause_s[ids[self._done[ids] >= pushes.count]] = np.inf
@@ -151,17 +151,17 @@ class Pusher:
 
     def seed(self, seed: int) -> None:
         """Begin the stream of pushes anew."""
-        self._chance.seed(seed)
+        self._random.seed(seed)
 
     def get_state(self) -> dict[str, Any]:
         """What the coming pushes depend on."""
         state = {k: v.copy() for k, v in vars(self).items() if isinstance(v, np.ndarray)}
         del state["_wrench"]
-        return state | {"chance": self._chance.get_state()}
+        return state | {"chance": self._random.get_state()}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Take up what ``get_state`` gave."""
-        self._chance.set_state(state["chance"])
+        self._random.set_state(state["chance"])
         for name, value in state.items():
             if name != "chance":
                 setattr(self, name, value.copy())

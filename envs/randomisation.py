@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from envs.chance import within
+from envs.episode_random import within
 from envs.pushes import check_range
 from questsim.skeleton import NUM_LINKS
 
@@ -69,7 +69,7 @@ def varied_models(
     return varied
 
 
-class Signals:
+class SignalFaults:
     """How late and how silent the devices of each simulation are.
 
     Args:

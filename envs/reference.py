@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from envs.config import EnvConfig
-from envs.steps import Steps, steps_of
+from envs.footsteps import Footsteps, footsteps_of
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
@@ -45,7 +45,7 @@ class Reference:
     velocity: np.ndarray
     angular_velocity: np.ndarray
     torque: np.ndarray
-    steps: Steps
+    steps: Footsteps
     dev_position: np.ndarray
     dev_quat: np.ndarray
 
@@ -91,7 +91,7 @@ class Reference:
                 if config.privileged
                 else np.zeros((0, NUM_DOFS), np.float32)
             ),
-            steps=steps_of(common if config.terrain is not None else ()),
+            steps=footsteps_of(common if config.terrain is not None else ()),
             dev_position=rows([position for position, _ in devices]),
             dev_quat=rows([quat for _, quat in devices]),
         )

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from mujoco import batch as mujoco_batch
 
-from envs.chance import Chance
 from envs.config import EnvConfig
+from envs.episode_random import EpisodeRandom
 from envs.object_places import Objects
 from envs.placement import Placement
 from envs.pushes import Pusher
-from envs.randomisation import Signals
+from envs.randomisation import SignalFaults
 from envs.reference import Reference
 
 
@@ -44,16 +44,18 @@ class Surroundings:
         names, fixed, bind = reference.names, config.fixed_start, batch.bind
         self._reference, self._ratio = reference, ratio
         self.placement = Placement(reference, config.terrain, ratio, seed, fixed)
-        self.pusher = Pusher(config.pushes, Chance(names, seed, 2, fixed), bind("xfrc_applied"))
+        self.pusher = Pusher(
+            config.pushes, EpisodeRandom(names, seed, 2, fixed), bind("xfrc_applied")
+        )
         self.objects = Objects(
             config.objects,
-            Chance(names, seed, 3, fixed),
+            EpisodeRandom(names, seed, 3, fixed),
             bind("qpos"),
             bind("qvel"),
             bind("sensordata"),
         )
         devices = reference.dev_position.shape[1]
-        self.signals = Signals(config.randomisation, len(ratio), devices, seed)
+        self.signals = SignalFaults(config.randomisation, len(ratio), devices, seed)
 
     def begin(self, ids: np.ndarray, rows: np.ndarray, clips: np.ndarray) -> None:
         """Episodes ``ids`` begin at ``rows`` of ``clips``, at places that were drawn before."""

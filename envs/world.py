@@ -10,7 +10,7 @@ import numpy as np
 
 from envs.objects import WorldObject, add_objects
 from envs.terrain import Terrain, height_field
-from questsim.body import Body, build_body, scaled_spec
+from questsim.body import Body, build_body, let_links_collide, scaled_spec
 
 _SOLE = "sole"
 _GROUND = 2
@@ -29,7 +29,7 @@ def build_world(
     Args:
         height_m, preset, self_collision: as of ``questsim.body.build_body``.
         terrain: the ground; None for a plane.
-        objects: things behind the avatar in ``qpos``, seven numbers each.
+        objects: those behind the avatar in ``qpos``, seven numbers each.
 
     Raises:
         InputError: height out of range or unknown preset.
@@ -50,7 +50,7 @@ def _build(
 ) -> Body:
     spec = scaled_spec(height_m, preset)
     if self_collision:
-        collide_with_itself(spec)
+        let_links_collide(spec)
     if terrain is not None:
         height_field(terrain).replace_floor(spec)
     add_objects(spec, objects, height_m)
@@ -87,11 +87,3 @@ def _stand_on_points(spec: mujoco.MjSpec) -> None:
         elif geom.contype:
             geom.contype |= _GROUND
     spec.geom("floor").conaffinity = _GROUND
-
-
-def collide_with_itself(spec: mujoco.MjSpec) -> None:
-    """Let links collide with each other, as ``build_body`` does."""
-    for body in spec.bodies:
-        for geom in body.geoms:
-            if geom.contype:
-                geom.conaffinity = 1

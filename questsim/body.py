@@ -105,10 +105,7 @@ def _build(height_m: float, preset: str, self_collision: bool) -> Body:
     options = PRESETS[preset]
     spec = scaled_spec(height_m, preset)
     if self_collision:
-        for body in spec.bodies:
-            for geom in body.geoms:
-                if geom.contype:
-                    geom.conaffinity = 1
+        let_links_collide(spec)
     model = spec.compile()
     _check_names(model)
     return Body(
@@ -119,6 +116,14 @@ def _build(height_m: float, preset: str, self_collision: bool) -> Body:
         damping=np.ravel(model.dof_damping)[6:].copy(),
         substeps=options.substeps,
     )
+
+
+def let_links_collide(spec: mujoco.MjSpec) -> None:
+    """Let the links of a spec collide with each other, not only with the floor."""
+    for body in spec.bodies:
+        for geom in body.geoms:
+            if geom.contype:
+                geom.conaffinity = 1
 
 
 def scaled_spec(height_m: float = DEFAULT_HEIGHT_M, preset: str = "default") -> mujoco.MjSpec:

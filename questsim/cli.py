@@ -41,19 +41,19 @@ COMMANDS: dict[str, Command] = {
         "watch a training's newest policy, while it learns",
     ),
     "motions import": Command(
-        "questsim.motion.commands", "import_motions", "ImportArgs",
+        "questsim.motion.motions_command", "import_motions", "ImportArgs",
         "read BVH and npz files into a library of clips",
     ),
     "motions fetch": Command(
-        "questsim.motion.commands", "fetch_dataset", "FetchArgs",
+        "questsim.motion.motions_command", "fetch_dataset", "FetchArgs",
         "download a public dataset and verify every clip of it",
     ),
     "motions list": Command(
-        "questsim.motion.commands", "list_motions", "ListArgs",
+        "questsim.motion.motions_command", "list_motions", "ListMotionsArgs",
         "say what a library, dataset, file or folder contains",
     ),
     "motions show": Command(
-        "questsim.viewing.commands", "show_clip", "ShowArgs",
+        "questsim.viewing.show_command", "show_clip", "ShowArgs",
         "draw a clip: a contact sheet and a video",
     ),
     "train": Command(
@@ -69,7 +69,7 @@ COMMANDS: dict[str, Command] = {
         "write a library of what a kinematic system makes of motions",
     ),
     "envs": Command(
-        "envs.commands", "list_environments", "ListArgs",
+        "envs.list_command", "list_environments", "ListEnvsArgs",
         "list the environments and their options",
     ),
     "export": Command(

@@ -18,8 +18,8 @@ from questsim.body import DEFAULT_HEIGHT_M, build_body
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
 from questsim.motion.kinematics import sole_points
+from questsim.objects import ObjectTrack
 from questsim.skeleton import FEET, FOOT_LINKS, NUM_DOFS, NUM_LINKS
-from questsim.things import Thing
 
 SCHEMA, SCHEMA_VERSION = "questsim-metrics", 1
 
@@ -79,7 +79,7 @@ class Rollout:
         fell: whether the simulation was ended: lost by 0.5 m, or no longer finite.
         seconds_simulated: simulated time.
         seconds_wall: time it took; of a batch, this rollout's share. 0 if unknown.
-        things: the objects that were there, with ``F`` poses each.
+        objects: the objects that were there, with ``F`` poses each.
 
     Raises:
         InputError: shapes do not agree, a number is not finite or a quaternion not of unit length.
@@ -99,7 +99,7 @@ class Rollout:
     fell: bool
     seconds_simulated: float = 0.0
     seconds_wall: float = 0.0
-    things: tuple[Thing, ...] = ()
+    objects: tuple[ObjectTrack, ...] = ()
 
     def __post_init__(self) -> None:
         frames = len(self.link_position)
@@ -121,9 +121,9 @@ class Rollout:
         for field in ("link_position", "link_quat"):
             array = getattr(self.reference, field)[:frames]
             _check(array, (frames, *shapes[field]), f"reference {field}", self.name)
-        for i, thing in enumerate(self.things):
-            _check(thing.position, (frames, 3), f"thing {i} position", self.name)
-            _check(thing.quat, (frames, 4), f"thing {i} quat", self.name)
+        for i, obj in enumerate(self.objects):
+            _check(obj.position, (frames, 3), f"object {i} position", self.name)
+            _check(obj.quat, (frames, 4), f"object {i} quat", self.name)
         if not (np.isfinite(self.fps) and self.fps > 0):
             raise InputError(f"frame rate is {self.fps}, not above zero", self.name)
 

@@ -15,7 +15,7 @@ from agents.comparison.ablations import VARIANTS, AblationsArgs, ablations
 from agents.comparison.report import Row
 from agents.kinematic import load_system
 from agents.kinematic.data import MotionBank
-from agents.kinematic.interface import Body
+from agents.kinematic.interface import UserBody
 from agents.kinematic.recurrent.features import ATOMS
 from agents.kinematic.recurrent.hmdposer import HmdPoserNet, HmdPoserSpec
 from agents.kinematic.recurrent.lgsik import PARTS, LgsikNet, LgsikSpec
@@ -104,7 +104,7 @@ def test_a_variant_is_saved_and_loaded_with_its_switch_and_answers(agent, values
     same = loaded.state_dict()
     assert all(torch.equal(value, same[name]) for name, value in module.state_dict().items())
     system, seen = load_system(tmp_path), readings(MOTION, SENSOR_SETS[SETS[agent]])
-    system.reset(Body.of(MOTION), SETS[agent])
+    system.reset(UserBody.of(MOTION), SETS[agent])
     assert all(system.step(seen[t]).finite() for t in range(3))
 
 
@@ -295,7 +295,7 @@ def test_the_stage_of_a_part_that_is_left_out_is_not_trained(
     assert folder is not None and read_system_card(folder)["training"]["trained"] == stages
     system = load_system(out)
     seen = readings(MOTION, SENSOR_SETS["6T"])
-    system.reset(Body.of(MOTION), "6T")
+    system.reset(UserBody.of(MOTION), "6T")
     assert all(system.step(seen[t]).finite() for t in range(5))
     with pytest.raises(InputError, match="was trained without"):
         load_system(out, **{option: True})

@@ -17,7 +17,7 @@ from agents.evaluation.evaluate import EvaluateArgs, evaluate
 from agents.kinematic import load_system
 from agents.kinematic.data import MotionBank
 from agents.kinematic.efficiency import mmac_a_frame, stream_kib
-from agents.kinematic.interface import Body
+from agents.kinematic.interface import UserBody
 from agents.kinematic.recurrent.poser import RecurrentPoser
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import save_system
@@ -161,7 +161,7 @@ def test_the_window_protocol_forgets_what_is_older_than_the_window(tmp_path):
     system = load_system(saved("lgsik", tmp_path / "lgsik"))
     assert isinstance(system, RecurrentPoser)
     motion = MOTION.resampled(60.0)
-    seen, body = readings(motion, SENSOR_SETS["H+2C"]), Body.of(motion)
+    seen, body = readings(motion, SENSOR_SETS["H+2C"]), UserBody.of(motion)
     whole = system.predict(seen, body)
     windowed = system.predict_windows(seen, body, 8)
     assert len(windowed) == len(whole) > 8
@@ -237,13 +237,13 @@ def test_multiply_accumulates_of_the_papers_networks_are_the_published_ones(agen
     module.get_buffer("template").copy_(torch.as_tensor(MOTION.offsets))
     system = entry.system(module, agent, ["network"], {})
     seen = readings(MOTION.resampled(60.0), SENSOR_SETS["H+2C+3IMU"])
-    assert mmac_a_frame(system, seen, Body.of(MOTION)) == pytest.approx(published, rel=0.01)
+    assert mmac_a_frame(system, seen, UserBody.of(MOTION)) == pytest.approx(published, rel=0.01)
 
 
 def test_the_memory_of_a_stream_counts_what_it_keeps_and_does_not_grow(tmp_path):
     system = load_system(saved("dragposer", tmp_path / "drag"), iterations=1)
     seen = readings(MOTION.resampled(60.0), SENSOR_SETS["6T"])
-    system.reset(Body.of(MOTION), "6T")
+    system.reset(UserBody.of(MOTION), "6T")
     sizes = []
     for frame in range(9):
         system.step(seen[frame])

@@ -13,7 +13,7 @@ from agents.comparison.film import (
     FILES,
     GHOST_OPACITY,
     STRIDE,
-    Part,
+    FilmFigure,
     Scene,
     Size,
     over_users_floor,
@@ -51,9 +51,9 @@ def scene(lost_after: int | None = None) -> Scene:
     moved = user.qpos + np.eye(40)[0] * 0.05
     shorter = clip_from_qpos("sway", moved[:lost_after], user.height_m)
     parts = [
-        Part("user", "", "", user),
-        Part("ik", "6 trackers", "kinematic", user),
-        Part("questsim", "headset", "policy", shorter),
+        FilmFigure("user", "", "", user),
+        FilmFigure("ik", "6 trackers", "kinematic", user),
+        FilmFigure("questsim", "headset", "policy", shorter),
     ]
     return Scene(parts, SMALL)
 

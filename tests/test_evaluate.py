@@ -138,7 +138,7 @@ def test_height_scales_avatar_and_reference(clips):
 def test_rollouts_keep_where_the_objects_were_and_what_they_look_like(clips):
     config = replace(START, heights=(1.4, 1.4), objects=objects_named(("ball", "chair")))
     rollout = roll_out(ZeroAgent(), clips[:1], config)[0]
-    ball, chair = rollout.things
+    ball, chair = rollout.objects
     assert [part.shape for part in ball.parts] == ["ball"] and len(chair.parts) == 6
     assert ball.position.shape == (len(rollout), 3) and chair.quat.shape == (len(rollout), 4)
     sim = evaluation_sim(clips[:1], config)
@@ -149,7 +149,7 @@ def test_rollouts_keep_where_the_objects_were_and_what_they_look_like(clips):
     for _ in range(len(rollout) - 1):
         sim.step(np.zeros((1, NUM_DOFS)))
     np.testing.assert_allclose(ball.position[-1], sim.objects.pose[0, 0, :3], atol=1e-6)
-    assert roll_out(ZeroAgent(), clips[:1], START)[0].things == ()
+    assert roll_out(ZeroAgent(), clips[:1], START)[0].objects == ()
 
 
 def test_motion_shorter_than_the_future_window_is_refused_by_name(clips):

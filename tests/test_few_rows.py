@@ -17,7 +17,7 @@ from agents.kinematic.few_rows import (
     pytorch_alone,
     side_by_side,
 )
-from agents.kinematic.interface import Body, Poses
+from agents.kinematic.interface import Poses, UserBody
 from agents.kinematic.recurrent.features import features
 from agents.kinematic.recurrent.poser import RecurrentModule
 from agents.kinematic.registry import AGENTS
@@ -132,8 +132,8 @@ def test_a_stream_at_the_papers_size_gives_the_poses_of_the_sequence(agent, sens
     entry.task(module, "network", config.stages["network"], MotionBank([motion], 42), 2)
     system = entry.system(module, agent, ["network"], {})
     seen = readings(motion, SENSOR_SETS[sensors])
-    whole = system.predict(seen, Body.of(motion))
-    system.reset(Body.of(motion), seen.names)
+    whole = system.predict(seen, UserBody.of(motion))
+    system.reset(UserBody.of(motion), seen.names)
     one_by_one = Poses.joined([system.step(seen[t]) for t in range(len(seen))])
     for name, told in vars(whole).items():
         np.testing.assert_allclose(getattr(one_by_one, name), told, atol=1e-4)

@@ -8,7 +8,7 @@ from test_terrain import CLIPS, STANDING, gliding_clip
 
 from envs import BatchSim, EnvConfig, Terrain
 from envs.footed_clip import footed_clip
-from envs.steps import _foot_steps, steps_of
+from envs.footsteps import _foot_steps, footsteps_of
 from envs.terrain import height_field
 from questsim.heightfield import HeightField
 from questsim.motion.clip import FPS, Clip
@@ -47,7 +47,7 @@ def test_a_foot_that_slides_as_it_stands_goes_from_place_to_place() -> None:
 
 def test_who_stands_stays_and_who_walks_does_not() -> None:
     walking = load_motions("synthetic:walk")[3]
-    steps = steps_of([c.scaled(1.75) for c in (STANDING, walking, gliding_clip())])
+    steps = footsteps_of([c.scaled(1.75) for c in (STANDING, walking, gliding_clip())])
     end = len(STANDING)
     assert (steps.stays[:end] == 1.0).all() and (steps.before[:end] == steps.after[:end]).all()
     assert (steps.stays[end : end + len(walking)] == 0.0).all()

@@ -13,7 +13,7 @@ from agents.kinematic.dragposer.model import DragModel
 from agents.kinematic.dragposer.networks import PAST, DragPoserModule, joints_from_root
 from agents.kinematic.dragposer.solver import LOST_FRAMES, DragPoser
 from agents.kinematic.ik import InverseKinematics
-from agents.kinematic.interface import Body, Poses, device_names
+from agents.kinematic.interface import Poses, UserBody, device_names
 from agents.kinematic.recurrent.features import DEVICES, features
 from agents.kinematic.recurrent.lgsik import group_mask
 from agents.kinematic.recurrent.lstm import LstmBank
@@ -29,7 +29,7 @@ from questsim.skeleton import JOINTS
 from tests.helpers import swaying_clip
 
 MOTION = to_motion(swaying_clip(frames=90)).resampled(60.0)
-BODY = Body.of(MOTION)
+BODY = UserBody.of(MOTION)
 BANK_WINDOWS = {"sparseposer": 64, "dragposer": 3, "hmdposer": 18, "lgsik": 18}
 SETS = {"hmdposer": "H+2C+2IMU", "lgsik": "H+2C+3IMU", "sparseposer": "6T", "dragposer": "6T"}
 

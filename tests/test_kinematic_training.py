@@ -14,7 +14,7 @@ from agents.evaluation.evaluate import EvaluateArgs, evaluate
 from agents.kinematic import load_system
 from agents.kinematic.data import MotionBank, motions_record
 from agents.kinematic.fit import Fit
-from agents.kinematic.interface import Body
+from agents.kinematic.interface import UserBody
 from agents.kinematic.learning import rate_at
 from agents.kinematic.recurrent.features import HEAD
 from agents.kinematic.registry import AGENTS
@@ -73,7 +73,7 @@ def test_a_tiny_training_lowers_its_error_and_gives_a_system_that_runs(agent, li
     assert list(out.glob("*/tensorboard/events*"))
     system = load_system(out)
     motion = MOTION.resampled(60.0)
-    system.reset(Body.of(motion), SETS[agent])
+    system.reset(UserBody.of(motion), SETS[agent])
     pose = system.step(readings(motion, SENSOR_SETS[SETS[agent]])[0])
     assert pose.finite()
 
@@ -218,7 +218,7 @@ def shipped(tmp_path_factory):
 
 def test_a_shipped_system_loads_by_name_and_answers_as_the_run_does(shipped, monkeypatch):
     monkeypatch.setattr("agents.kinematic.store.SHIPPED", shipped / "weights")
-    body, seen = Body.of(MOTION), readings(MOTION.resampled(60.0), SENSOR_SETS["6T"])
+    body, seen = UserBody.of(MOTION), readings(MOTION.resampled(60.0), SENSOR_SETS["6T"])
     a, b = (load_system(name).predict(seen, body) for name in ("feet", shipped / "run"))
     assert np.array_equal(a.rotations, b.rotations)
     assert {path.name for path in (shipped / "weights" / "feet").iterdir()} == {

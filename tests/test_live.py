@@ -87,7 +87,7 @@ def test_the_reference_and_the_devices_are_those_of_the_clip():
 def test_a_user_of_another_size_stands_in_its_own_where_the_avatar_is_to_be():
     live = session("zero", height_m=1.9, avatar_height_m=1.5)
     begun, shown = live.snapshot(), advance(live, 10)
-    assert (shown.stage.height_m, shown.stage.user_m) == (1.5, 1.9)
+    assert (shown.scenery.height_m, shown.scenery.user_m) == (1.5, 1.9)
     clip = swaying_clip("first", frames=144)
     small, tall = clip.scaled(1.5).link_position[10], clip.scaled(1.9).link_position[10]
     spot = (small[0] - tall[0]) * [1.0, 1.0, 0.0]
@@ -102,8 +102,10 @@ def test_a_user_of_another_size_stands_in_its_own_where_the_avatar_is_to_be():
 def test_a_user_of_another_size_stands_on_the_terrain():
     live = session("zero", height_m=1.9, avatar_height_m=1.5, terrain="rough", roughness=2.0)
     shown = advance(live, 5)
-    assert shown.stage.ground is not None
-    above = shown.reference_position[0, 2] - float(shown.stage.ground.ground_at(shown.position[0]))
+    assert shown.scenery.ground is not None
+    above = shown.reference_position[0, 2] - float(
+        shown.scenery.ground.ground_at(shown.position[0])
+    )
     tall = swaying_clip("first", frames=144).scaled(1.9)
     assert above == pytest.approx(tall.link_position[5, 0, 2], abs=0.03)
 
@@ -123,12 +125,12 @@ def test_an_avatar_of_its_users_height_goes_along_with_it():
 def test_a_seated_clip_brings_its_chair_and_takes_it_away():
     seated = replace(swaying_clip("seated", frames=54), kind="sit")
     live = DemoSession([swaying_clip("first"), seated], DRIVERS, Settings("first", "zero"))
-    assert live.change(clip="seated").thing == "chair" and live.snapshot().thing is not None
-    assert live.change(clip="first").thing == "none"
-    live.change(thing="ball")
-    assert live.change(clip="seated").thing == "ball"  # what was chosen stays
-    live.change(thing="none")
-    assert live.change(clip="first").thing == "none"
+    assert live.change(clip="seated").object == "chair" and live.snapshot().object_pose is not None
+    assert live.change(clip="first").object == "none"
+    live.change(object="ball")
+    assert live.change(clip="seated").object == "ball"  # what was chosen stays
+    live.change(object="none")
+    assert live.change(clip="first").object == "none"
 
 
 def test_the_avatar_follows_and_its_feet_bear_its_weight():
@@ -170,11 +172,11 @@ def test_a_clip_that_was_followed_begins_again():
 
 def test_changes_take_effect_at_once_and_begin_the_clip_again():
     live = session()
-    stage = advance(live, 20).stage
+    scenery = advance(live, 20).scenery
     live.change(clip="second", height_m=1.5)
     shown = live.snapshot()
-    assert (live.settings.clip, shown.time_s, shown.stage.height_m) == ("second", 0.0, 1.5)
-    assert shown.stage.number > stage.number
+    assert (live.settings.clip, shown.time_s, shown.scenery.height_m) == ("second", 0.0, 1.5)
+    assert shown.scenery.number > scenery.number
     assert shown.duration_s == pytest.approx(53 / FPS)
 
 
@@ -196,7 +198,7 @@ def test_a_change_of_speed_goes_on_from_where_it_is():
         {"avatar_height_m": 3.0},
         {"terrain": "sea"},
         {"roughness": 5.0},
-        {"thing": "elephant"},
+        {"object": "elephant"},
         {"height_m": "tall"},
         {"speed": 1e9},
         {"colour": "red"},
@@ -243,28 +245,28 @@ def test_a_driver_that_is_replaced_takes_over_where_the_avatar_is():
 def test_terrain_lifts_the_avatar_and_its_reference():
     live = session(terrain="rough", roughness=2.0)
     shown = advance(live, 5)
-    ground = shown.stage.ground
+    ground = shown.scenery.ground
     assert ground is not None and ground.height.std() > 0.01
     for position in (shown.position, shown.reference_position):
         above = position[0, 2] - float(ground.ground_at(position[0]))
         assert above == pytest.approx(0.91, abs=0.06)
     assert np.linalg.norm(shown.position[0, :2]) > 1.0  # it plays somewhere on the field
     flat = live.change(terrain="flat")
-    assert flat.terrain == "flat" and live.snapshot().stage.ground is None
+    assert flat.terrain == "flat" and live.snapshot().scenery.ground is None
 
 
 def test_an_object_is_there_and_rests_on_the_ground():
-    live = session(thing="ball")
+    live = session(object="ball")
     shown = advance(live, 40)
-    assert [part.shape for part in shown.stage.parts] == ["ball"]
-    assert shown.thing is not None
-    place, quat = shown.thing
+    assert [part.shape for part in shown.scenery.parts] == ["ball"]
+    assert shown.object_pose is not None
+    place, quat = shown.object_pose
     assert place[2] == pytest.approx(0.0, abs=0.15)
     assert np.linalg.norm(quat) == pytest.approx(1.0)
-    live.change(thing="hurdle")
-    assert len(live.snapshot().stage.parts) == 5
-    live.change(thing="none")
-    assert live.snapshot().thing is None
+    live.change(object="hurdle")
+    assert len(live.snapshot().scenery.parts) == 5
+    live.change(object="none")
+    assert live.snapshot().object_pose is None
 
 
 def test_same_settings_same_bits():
@@ -404,7 +406,7 @@ def test_a_video_of_another_kind_is_refused():
 
 @pytest.mark.skipif(gl.find_gl() is None, reason=gl.missing_gl())
 def test_a_session_is_filmed_with_its_push(tmp_path):
-    live = session(terrain="rough", thing="box")
+    live = session(terrain="rough", object="box")
     takes = record(live, 1.5, 100.0)
     assert [take.settings.clip for take in takes] == ["first"]
     assert len(takes[0].moments) == 54

@@ -177,7 +177,7 @@ def test_a_stream_that_begins_within_a_clip_is_told_nothing_of_before():
 def test_poses_are_lifted_by_the_ground_under_the_avatar():
     flat = advance(session(), 20)
     rough = advance(session(terrain="rough", roughness=2.0), 20)
-    ground = rough.stage.ground
+    ground = rough.scenery.ground
     assert ground is not None and ground.height.std() > 0.01
     above = rough.position[0, 2] - float(ground.ground_at(rough.position[0]))
     assert above == pytest.approx(flat.position[0, 2], abs=1e-6)
@@ -222,8 +222,8 @@ def test_nothing_pushes_it_and_the_page_says_so_and_goes_on():
 
 
 def test_an_object_stays_where_it_is():
-    live = session(thing="ball")
-    begun, shown = live.snapshot().thing, advance(live, 40).thing
+    live = session(object="ball")
+    begun, shown = live.snapshot().object_pose, advance(live, 40).object_pose
     assert begun is not None and shown is not None
     np.testing.assert_array_equal(begun[0], shown[0])
 

@@ -8,8 +8,13 @@ from mocap_files import SMPL_JOINTS, standing, write_amass, write_bvh
 
 from questsim.errors import InputError
 from questsim.motion import datasets, spec
-from questsim.motion.commands import ImportArgs, ListArgs, import_motions, list_motions
 from questsim.motion.library import load_library
+from questsim.motion.motions_command import (
+    ImportArgs,
+    ListMotionsArgs,
+    import_motions,
+    list_motions,
+)
 from questsim.motion.spec import load_motions, load_recordings
 
 
@@ -196,7 +201,7 @@ def test_import_refuses_wrong_arguments(changes, reason, folder, tmp_path, monke
 
 
 def test_list_counts_clips_by_kind(folder, capsys):
-    list_motions(ListArgs(str(folder)))
+    list_motions(ListMotionsArgs(str(folder)))
     lines = capsys.readouterr().out.splitlines()
     assert any(line.split()[:3] == ["walk", "elderly", "1"] for line in lines)
     assert any(line.split()[:2] == ["all", "3"] for line in lines)

@@ -82,8 +82,8 @@ def test_a_push_by_hand_acts_at_once_and_ends() -> None:
 
 @pytest.mark.parametrize("kind", OBJECTS)
 def test_an_object_rests_on_the_ground_out_of_reach(kind: str) -> None:
-    thing = WorldObject(kind, ahead_s=(0.0, 1.0))
-    config = EnvConfig(objects=(thing,), max_error_m=99.0)
+    obj = WorldObject(kind, ahead_s=(0.0, 1.0))
+    config = EnvConfig(objects=(obj,), max_error_m=99.0)
     sim = BatchSim(CLIPS, config, num_envs=6)
     sim.reset()
     start = sim.objects.pose.copy()
@@ -98,12 +98,12 @@ def test_an_object_rests_on_the_ground_out_of_reach(kind: str) -> None:
 
 def test_objects_keep_away_from_each_other_where_nobody_walks() -> None:
     clips = [swaying_clip("standing", frames=90)]
-    things = tuple(WorldObject(kind) for kind in OBJECTS)
-    sim = BatchSim(clips, EnvConfig(objects=things, max_error_m=99.0), num_envs=4)
+    objects = tuple(WorldObject(kind) for kind in OBJECTS)
+    sim = BatchSim(clips, EnvConfig(objects=objects, max_error_m=99.0), num_envs=4)
     sim.reset()
     spots = sim.objects.pose[..., :2].copy()
     between = np.linalg.norm(spots[:, :, None] - spots[:, None], axis=-1)
-    assert between[:, ~np.eye(len(things), dtype=bool)].min() >= APART_M - 1e-6
+    assert between[:, ~np.eye(len(objects), dtype=bool)].min() >= APART_M - 1e-6
     for _ in range(8):
         sim.step(np.zeros((4, 33)))
     assert np.abs(sim.objects.pose[..., :2] - spots).max() < 0.02
@@ -140,8 +140,8 @@ def test_walking_into_a_ball_kicks_it_and_is_told() -> None:
 
 def test_objects_lie_on_the_path_and_on_the_terrain() -> None:
     clips = [gliding_clip(1.5, heading=1.0)]
-    thing = WorldObject("ball", (1.0, 1.0), (0.0, 0.0))
-    sim = BatchSim(clips, EnvConfig(fixed_start=True, terrain=HILLS, objects=(thing,)))
+    obj = WorldObject("ball", (1.0, 1.0), (0.0, 0.0))
+    sim = BatchSim(clips, EnvConfig(fixed_start=True, terrain=HILLS, objects=(obj,)))
     sim.reset()
     placed = sim.placed_clip(0, clips[0])
     spot = sim.objects.pose[0, 0]

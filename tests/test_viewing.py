@@ -1,4 +1,4 @@
-"""Pictures are looked at here as a program can: sizes, colours, where things are in them."""
+"""Pictures are looked at here as a program can: sizes, colours, where objects are in them."""
 
 import os
 import subprocess
@@ -13,13 +13,12 @@ from rollouts import moving_clip, rollout, shifted, still_clip
 from questsim.errors import InputError
 from questsim.heightfield import HeightField
 from questsim.motion import spec
+from questsim.objects import ObjectShape, ObjectTrack
 from questsim.skeleton import LINKS
-from questsim.things import Part, Thing
 from questsim.viewing import contact_sheet as sheets
 from questsim.viewing import gl
 from questsim.viewing.camera import Camera, follow, three_quarter_azimuth
 from questsim.viewing.captions import caption
-from questsim.viewing.commands import ShowArgs, file_name, show_clip
 from questsim.viewing.costume import convex_hull
 from questsim.viewing.films import (
     _picture,
@@ -32,6 +31,7 @@ from questsim.viewing.films import (
 )
 from questsim.viewing.outline import outline_points, stick_picture
 from questsim.viewing.render import Figure, SceneRenderer, metre_tile
+from questsim.viewing.show_command import ShowArgs, file_name, show_clip
 from questsim.viewing.video import write_video
 
 needs_gl = pytest.mark.skipif(gl.find_gl() is None, reason=gl.missing_gl())
@@ -215,13 +215,16 @@ def test_avatar_and_its_user_stand_side_by_side():
 @needs_gl
 def test_objects_are_drawn_where_they_were():
     clip = still_clip(2)
-    ball, box = (Part("ball", (0.11,), (0.0, 0.0, 0.11)), Part("box", (0.1,) * 3, (0.0,) * 3))
+    ball, box = (
+        ObjectShape("ball", (0.11,), (0.0, 0.0, 0.11)),
+        ObjectShape("box", (0.1,) * 3, (0.0,) * 3),
+    )
     there = np.array([[0.7, -0.2, 0.0], [0.7, 0.6, 0.5]])
-    things = tuple(
-        Thing((part,), at + np.zeros((2, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)))
+    objects = tuple(
+        ObjectTrack((part,), at + np.zeros((2, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)))
         for part, at in zip((ball, box), there, strict=True)
     )
-    (shot,) = (_shot(rollout(clip, things=things), 320 / 240, "ghost", None),)
+    (shot,) = (_shot(rollout(clip, objects=objects), 320 / 240, "ghost", None),)
     figures = [Figure(devices=False), Figure(devices=False)]
     with SceneRenderer(figures, 320, 240) as renderer:
         picture = _picture(renderer, shot, 0, "").astype(int)
@@ -238,10 +241,10 @@ def test_the_camera_has_room_for_objects_that_are_near():
 
     def seen(metres: float) -> np.ndarray:
         place = np.tile([metres, 0.0, 0.0], (2, 1))
-        thing = Thing((Part("box", (0.1, 0.1, 0.1), (0.0, 0.0, 0.1)),), place, turn)
-        np.testing.assert_allclose(thing.corners().max(axis=1)[0], [metres + 0.1, 0.1, 0.2])
-        camera = _shot(rollout(clip, things=(thing,)), 1.0, "beside", None).cameras[0]
-        return camera.project(thing.corners()[0], 100, 100)
+        obj = ObjectTrack((ObjectShape("box", (0.1, 0.1, 0.1), (0.0, 0.0, 0.1)),), place, turn)
+        np.testing.assert_allclose(obj.corners().max(axis=1)[0], [metres + 0.1, 0.1, 0.2])
+        camera = _shot(rollout(clip, objects=(obj,)), 1.0, "beside", None).cameras[0]
+        return camera.project(obj.corners()[0], 100, 100)
 
     assert ((seen(0.9) > 0.0) & (seen(0.9) < 100.0)).all()
     assert (seen(3.0)[:, 1] > 100.0).any()  # nobody wants to see everything from afar

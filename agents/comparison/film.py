@@ -101,7 +101,7 @@ SIZE = Size()
 
 
 @dataclass(frozen=True)
-class Part:
+class FilmFigure:
     """One figure in one clip.
 
     Attributes:
@@ -164,11 +164,11 @@ def to_be_filmed(motions: Sequence[Motion], names: Sequence[str]) -> list[Motion
 # -- who does what -----------------------------------------------------------------------------
 
 
-def _user(motion: Motion) -> Part:
-    return Part("user", "the motion itself", "", to_clip(motion))
+def _user(motion: Motion) -> FilmFigure:
+    return FilmFigure("user", "the motion itself", "", to_clip(motion))
 
 
-def parts_of(agent: str, motions: Sequence[Motion], threads: int) -> list[Part]:
+def parts_of(agent: str, motions: Sequence[Motion], threads: int) -> list[FilmFigure]:
     """What an agent does in each of the motions, in one scenario: see ``_shown``."""
     kinematic, physics, policy = KINDS
     if is_policy(agent):
@@ -176,14 +176,14 @@ def parts_of(agent: str, motions: Sequence[Motion], threads: int) -> list[Part]:
         clips = [to_clip(motion) for motion in motions]
         rollouts = roll_out(loaded, clips, env_config(loaded), threads)
         told = _told(SENSOR_SETS[loaded.needs.sensors])
-        return [Part(agent, told, policy, performed(rollout)) for rollout in rollouts]
+        return [FilmFigure(agent, told, policy, performed(rollout)) for rollout in rollouts]
     scenario = _shown(suiting(agent, None))
     poses = [reconstructed((base_of(agent) or agent, scenario, motion, 0)) for motion in motions]
     told, pairs = _told(scenario.devices), list(zip(poses, motions, strict=True))
     if base_of(agent) is None:
-        return [Part(agent, told, kinematic, over_users_floor(p, m)) for p, m in pairs]
+        return [FilmFigure(agent, told, kinematic, over_users_floor(p, m)) for p, m in pairs]
     rollouts = follow_poses([reference_of(p, m) for p, m in pairs], motions, threads)
-    return [Part(agent, told, physics, performed(rollout)) for rollout in rollouts]
+    return [FilmFigure(agent, told, physics, performed(rollout)) for rollout in rollouts]
 
 
 def over_users_floor(poses: Poses, motion: Motion) -> Clip:
@@ -238,7 +238,7 @@ class Scene:
         size: of the pictures.
     """
 
-    def __init__(self, parts: Sequence[Part], size: Size) -> None:
+    def __init__(self, parts: Sequence[FilmFigure], size: Size) -> None:
         self.parts, self.size = parts, size
         self.user = parts[0].clip
         self.frames = min(len(self.user), round(MAX_SECONDS * FPS))

@@ -19,7 +19,7 @@ from agents.comparison.report import RECORDING, Row, row_of
 from agents.comparison.scenarios import RECURRENT_SETS, WINDOW, Scenario, faulty, scenarios
 from agents.evaluation.evaluate import env_config, roll_out
 from agents.kinematic.efficiency import mmac_a_frame, stream_kib
-from agents.kinematic.interface import Body, KinematicSystem, Poses
+from agents.kinematic.interface import KinematicSystem, Poses, UserBody
 from agents.kinematic.physics_behind import (
     TRACKER,
     avatar_samples,
@@ -164,7 +164,7 @@ def run(
     if scenario.online or not row.parameters:
         return row
     sequence = readings(motions[0], scenario.devices)
-    mmac = mmac_a_frame(system, sequence, Body.of(motions[0]))
+    mmac = mmac_a_frame(system, sequence, UserBody.of(motions[0]))
     return replace(row, mmac=mmac, stream_kib=stream_kib(system))
 
 
@@ -189,7 +189,7 @@ def _samples(poses: Poses, motion: Motion, ends: Sequence[int] = ENDS) -> dict[s
 def reconstructed(job: Job) -> Poses:
     """What a system makes of a motion at 60 Hz; as on a stream, or each frame from its window."""
     agent, scenario, motion, _ = job
-    system, sequence, body = _loaded(agent, scenario.options), _told(job), Body.of(motion)
+    system, sequence, body = _loaded(agent, scenario.options), _told(job), UserBody.of(motion)
     if scenario.online:
         assert isinstance(system, RecurrentPoser)
         return system.predict_windows(sequence, body, WINDOW)
@@ -210,7 +210,7 @@ def _streamed_ms(scenario: Scenario, jobs: Sequence[Job]) -> float | None:
     seconds, frames = 0.0, 0
     for job in jobs:
         system, sequence = _loaded(job[0], scenario.options), _told(job)
-        system.reset(Body.of(job[2]), sequence.names)
+        system.reset(UserBody.of(job[2]), sequence.names)
         count = min(len(sequence), TIMED_FRAMES - frames)
         told = [sequence[t] for t in range(count)]
         began = time.perf_counter()

@@ -25,8 +25,8 @@ from questsim.metrics import Rollout
 from questsim.metrics import evaluate as score
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.motion import Motion
+from questsim.objects import ObjectTrack
 from questsim.skeleton import NUM_DOFS, NUM_LINKS
-from questsim.things import Thing
 
 T = TypeVar("T", Clip, Motion, Rollout)
 FILMED_CLIPS = 4
@@ -303,7 +303,7 @@ class Recorder:
         self.angles = np.zeros((frames, n, NUM_DOFS), np.float32)
         self.clearance = np.zeros((frames, n, 2), np.float32)
         self.force = np.zeros((frames, n, 2), np.float32)
-        self.things = np.zeros((frames, *sim.objects.pose.shape), np.float32)
+        self.objects = np.zeros((frames, *sim.objects.pose.shape), np.float32)
         self.count = np.zeros(n, np.int64)
         self._at = 0
 
@@ -315,21 +315,21 @@ class Recorder:
         self.angles[at] = sim.joint_angles
         self.clearance[at] = sim.foot_clearance
         self.force[at] = sim.contact_force[..., 2]
-        self.things[at] = sim.objects.pose
+        self.objects[at] = sim.objects.pose
         self.count += keep
         self._at += 1
 
-    def things_of(self, i: int) -> tuple[Thing, ...]:
+    def objects_of(self, i: int) -> tuple[ObjectTrack, ...]:
         """The objects beside avatar ``i`` in the frames that were kept."""
         frames, objects = int(self.count[i]), self._sim.config.objects
         height = float(self._sim.heights[i])
         return tuple(
-            Thing(
-                shapes_of(thing, height),
-                self.things[:frames, i, number, :3],
-                self.things[:frames, i, number, 3:],
+            ObjectTrack(
+                shapes_of(obj, height),
+                self.objects[:frames, i, number, :3],
+                self.objects[:frames, i, number, 3:],
             )
-            for number, thing in enumerate(objects)
+            for number, obj in enumerate(objects)
         )
 
 
@@ -364,7 +364,7 @@ def _roll_out_batch(
                 fell=bool(followed.fell[i]),
                 seconds_simulated=followed.frames[i] / FPS,
                 seconds_wall=followed.seconds * float(followed.frames[i]) / steps,
-                things=recorder.things_of(i),
+                objects=recorder.objects_of(i),
             )
         )
     return rollouts

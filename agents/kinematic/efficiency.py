@@ -11,14 +11,14 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from agents.kinematic.few_rows import pytorch_alone
-from agents.kinematic.interface import Body, KinematicSystem
+from agents.kinematic.interface import KinematicSystem, UserBody
 from questsim.joint_sensors import SensorSequence
 
 WARM_UP_FRAMES = 8
 COUNTED_FRAMES = 4
 
 
-def mmac_a_frame(system: KinematicSystem, sequence: SensorSequence, body: Body) -> float:
+def mmac_a_frame(system: KinematicSystem, sequence: SensorSequence, body: UserBody) -> float:
     """Millions of multiply-accumulates of matrix products and convolutions a streamed frame.
 
     Counted by ``torch.utils.flop_counter`` (a multiply-accumulate is two operations) over a few

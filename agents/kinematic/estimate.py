@@ -15,9 +15,9 @@ from agents.kinematic.physics_behind import on_own_body
 from agents.kinematic.store import load_system
 from questsim.errors import InputError, at_least
 from questsim.motion.clip import Clip
-from questsim.motion.commands import check_library_path
 from questsim.motion.library import save_library
 from questsim.motion.motion import Motion
+from questsim.motion.motions_command import check_library_path
 from questsim.motion.retarget import to_clip
 from questsim.motion.spec import load_recordings
 

@@ -11,7 +11,7 @@ import mink
 import mujoco
 import numpy as np
 
-from agents.kinematic.interface import Body, KinematicSystem, Poses, Signals
+from agents.kinematic.interface import DeviceSignals, KinematicSystem, Poses, UserBody
 from questsim import rotations as rot
 from questsim.body import scaled_spec
 from questsim.motion.checks import stature_of
@@ -104,7 +104,7 @@ class InverseKinematics(KinematicSystem):
     def __init__(self, iterations: int = ITERATIONS) -> None:
         self.iterations = iterations
 
-    def _begin(self, body: Body) -> None:
+    def _begin(self, body: UserBody) -> None:
         model = user_model(body.offsets)
         self._configuration = mink.Configuration(model)
         standing = _standing(model)
@@ -123,7 +123,7 @@ class InverseKinematics(KinematicSystem):
         hips = [JOINTS.index("left_hip"), JOINTS.index("right_hip")]
         self._hips = body.offsets[hips].mean(axis=0)
 
-    def _next(self, signals: Signals) -> Poses:
+    def _next(self, signals: DeviceSignals) -> Poses:
         assert self._names is not None
         configuration = self._configuration
         for device, link, task in self._frames:

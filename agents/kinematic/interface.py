@@ -39,7 +39,7 @@ UNIT_TOLERANCE = 1e-2
 
 
 @dataclass(frozen=True)
-class Body:
+class UserBody:
     """What is known of the user's body.
 
     Attributes:
@@ -56,9 +56,9 @@ class Body:
             raise InputError("a body is less than 0.5 m tall", "body", "give metres")
 
     @staticmethod
-    def of(motion: Motion) -> Body:
+    def of(motion: Motion) -> UserBody:
         """The body of a recorded person."""
-        return Body(motion.offsets)
+        return UserBody(motion.offsets)
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class Poses:
 
 
 @dataclass(frozen=True)
-class Signals:
+class DeviceSignals:
     """What a system reads: poses of the joints that carry its devices, by device.
 
     Attributes:
@@ -132,7 +132,7 @@ class KinematicSystem(ABC):
 
     Attributes:
         name: for messages and tables.
-        devices: every device it can read, in the order of its ``Signals``.
+        devices: every device it can read, in the order of its ``DeviceSignals``.
         required: those it cannot do without.
         future_frames: how many later frames a pose waits for; ``step`` answers that much late.
     """
@@ -169,7 +169,7 @@ class KinematicSystem(ABC):
         text = ", ".join(self.required)
         return text + (f" and, if there, {', '.join(optional)}" if optional else "")
 
-    def reset(self, body: Body, sensors: str | Sequence[str]) -> None:
+    def reset(self, body: UserBody, sensors: str | Sequence[str]) -> None:
         """Begin a stream.
 
         Args:
@@ -202,7 +202,7 @@ class KinematicSystem(ABC):
         self._last = frame
         return pose
 
-    def predict(self, sequence: SensorSequence, body: Body) -> Poses:
+    def predict(self, sequence: SensorSequence, body: UserBody) -> Poses:
         """Poses of all frames of a sequence; the same ones as ``step`` gives one by one.
 
         With ``future_frames`` the last frames are held, so that every frame gets its pose.
@@ -222,11 +222,11 @@ class KinematicSystem(ABC):
     # -- what a system supplies ------------------------------------------------------------
 
     @abstractmethod
-    def _begin(self, body: Body) -> None:
+    def _begin(self, body: UserBody) -> None:
         """Forget everything; a stream of this body begins."""
 
     @abstractmethod
-    def _next(self, signals: Signals) -> Poses:
+    def _next(self, signals: DeviceSignals) -> Poses:
         """The pose after one more frame (``T`` = 1)."""
 
     # -- checks ----------------------------------------------------------------------------
@@ -278,7 +278,9 @@ class KinematicSystem(ABC):
 
     def _answer(self, frame: SensorFrame) -> Poses:
         position, quat = joint_poses(frame.position, frame.quat, self._mounts)
-        signals = Signals(position[None], quat[None], frame.acceleration[None], frame.present[None])
+        signals = DeviceSignals(
+            position[None], quat[None], frame.acceleration[None], frame.present[None]
+        )
         pose = self._next(signals)
         if not pose.finite():
             self._begin(self._body)
@@ -286,7 +288,7 @@ class KinematicSystem(ABC):
         self._pose = pose
         return pose
 
-    def _rest(self, signals: Signals) -> Poses:
+    def _rest(self, signals: DeviceSignals) -> Poses:
         """Standing straight where the first device is: there is nothing better to say."""
         rotations = np.zeros((1, NUM_JOINTS, 4))
         rotations[..., 0] = 1.0

@@ -46,7 +46,7 @@ class WatchArgs:
     """The ground: flat, rough, waves, slope, stairs, steps or gaps."""
     roughness: float = 1.0
     """Multiplies the terrain's relief: 1 is ±4 cm on rough ground, slopes of 8 degrees."""
-    thing: str | None = None
+    object: str | None = None
     """An object in the way: none, ball, box, hurdle or chair; by default a chair where a clip
     that is seated sits, and none for others."""
     height: float = DEFAULT_HEIGHT_M
@@ -169,7 +169,7 @@ def _settings(args: WatchArgs, clips: Sequence[Clip], agent: str) -> Settings:
         sensors="",  # the agent's own
         terrain=args.terrain,
         roughness=args.roughness,
-        thing=args.thing or needed,
+        object=args.object or needed,
         height_m=args.height,
         avatar_height_m=None if args.avatar_height == args.height else args.avatar_height,
     )

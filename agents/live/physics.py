@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from agents.agent import Agent, Needs
-from agents.kinematic.interface import Body, KinematicSystem
+from agents.kinematic.interface import KinematicSystem, UserBody
 from agents.kinematic.physics_behind import begun_as, reference_of
 from agents.live.drivers import TorqueDriver
 from agents.live.poses import LEFT_OPEN, PoseDriver
@@ -62,7 +62,7 @@ class PhysicsDriver(TorqueDriver):
     def _estimate(self, clip: Clip, sensors: str) -> Clip:
         user = self._recording(clip.name).resampled(SENSOR_FPS)
         devices = self._system.usable(sensors)
-        poses = self._system.predict(readings(user, devices), Body.of(user))
+        poses = self._system.predict(readings(user, devices), UserBody.of(user))
         estimate = reference_of(poses, user)
         # The way over 60 Hz may lose the last frame.
         rows = np.minimum(np.arange(len(clip)), len(estimate) - 1)

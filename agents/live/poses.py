@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from agents.agent import Needs
-from agents.kinematic.interface import Body, KinematicSystem, Poses
+from agents.kinematic.interface import KinematicSystem, Poses, UserBody
 from agents.kinematic.physics_behind import on_own_body
 from envs.config import EnvConfig
 from envs.core import BatchSim
@@ -112,7 +112,7 @@ class PoseStream:
 
     def reset(self) -> None:
         """Begin anew, with whatever frame is asked for next."""
-        self._system.reset(Body.of(self._user), self._names)
+        self._system.reset(UserBody.of(self._user), self._names)
         self._frame: int | None = None
         self._before: Poses | None = None
         self._after: Poses | None = None

@@ -26,7 +26,7 @@ from questsim.errors import InputError
 from questsim.motion.clip import FPS, Clip
 from questsim.sensors import device_poses, sensor_set
 from questsim.skeleton import NUM_DOFS
-from questsim.viewing.live import ROUGHNESS, SPEEDS, Choices, Settings, Snapshot, Stage
+from questsim.viewing.live import ROUGHNESS, SPEEDS, Choices, Scenery, Settings, Snapshot
 
 AFTER_FALL_S, AFTER_END_S = 2.0, 0.7
 """How long an episode that is over goes on before the clip begins again."""
@@ -72,7 +72,7 @@ class DemoSession:
         if not settings.sensors:
             settings = replace(settings, sensors=self._driver(settings.agent).needs.sensors)
         self._settings = settings
-        self._stage = Stage(0)
+        self._scenery = Scenery(0)
         self._step, self._begun = 0, 0
         self._outcome, self._hold = "", 0
         self._paused, self._one_step = False, False
@@ -94,7 +94,7 @@ class DemoSession:
             agents=tuple(self._make_driver),
             sensors=self._driver(self._settings.agent).sensor_sets(),
             terrains=GROUNDS,
-            things=(NOTHING, *OBJECTS),
+            objects=(NOTHING, *OBJECTS),
         )
 
     def playlist(self) -> list[str]:
@@ -123,7 +123,7 @@ class DemoSession:
                 clip.height_m,
             )
             return Snapshot(
-                stage=self._stage,
+                scenery=self._scenery,
                 step=self._step,
                 time_s=now / FPS,
                 duration_s=clip.duration,
@@ -138,7 +138,7 @@ class DemoSession:
                 reference_qpos=self._user_qpos[now],
                 error_m=float(sim.error[0]) if now else 0.0,
                 push_n=sim.pusher.force[0].copy(),
-                thing=object_pose(sim) if self._stage.parts else None,
+                object_pose=object_pose(sim) if self._scenery.parts else None,
                 outcome=self._outcome,
                 paused=self._paused,
                 note=self.notes.get(self._settings.agent, ""),
@@ -166,8 +166,8 @@ class DemoSession:
                 wanted = replace(wanted, avatar_height_m=None)
             if wanted == self._settings:
                 return wanted
-            if "thing" not in settings and self._settings.thing == self._needed(self._settings):
-                wanted = replace(wanted, thing=self._needed(wanted))
+            if "object" not in settings and self._settings.object == self._needed(self._settings):
+                wanted = replace(wanted, object=self._needed(wanted))
             if wanted != replace(self._settings, speed=wanted.speed):
                 driver = self._driver(wanted.agent)
                 if "sensors" not in settings and wanted.sensors not in driver.sensor_sets():
@@ -323,9 +323,9 @@ class DemoSession:
             raise InputError(
                 f"there is no terrain {settings.terrain!r}", fix=f"choose from {known}"
             )
-        if settings.thing not in (NOTHING, *OBJECTS):
+        if settings.object not in (NOTHING, *OBJECTS):
             known = ", ".join(OBJECTS)
-            raise InputError(f"there is no object {settings.thing!r}", fix=f"choose from {known}")
+            raise InputError(f"there is no object {settings.object!r}", fix=f"choose from {known}")
         roughness = _number(settings.roughness, "roughness")
         if not ROUGHNESS[0] <= roughness <= ROUGHNESS[1]:
             raise InputError(
@@ -347,8 +347,8 @@ class DemoSession:
         self._begin(sim)
         field = sim.placement.field
         ground = None if field is None else field.around(self._placed.qpos[:, :2], SEEN_M)
-        self._stage = Stage(
-            self._stage.number + 1,
+        self._scenery = Scenery(
+            self._scenery.number + 1,
             float(settings.avatar_m),
             ground,
             shapes_of(config.objects[0], float(sim.heights[0])) if config.objects else (),

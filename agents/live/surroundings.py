@@ -25,7 +25,7 @@ def config_of(driver: Driver, settings: Settings) -> EnvConfig:
     return replace(
         config,
         terrain=scaled_terrain(settings.terrain, settings.roughness),
-        objects=() if settings.thing == NOTHING else (WorldObject(settings.thing),),
+        objects=() if settings.object == NOTHING else (WorldObject(settings.object),),
     )
 
 

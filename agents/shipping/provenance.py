@@ -103,7 +103,9 @@ def _stages(folder: Path, training: dict[str, Any]) -> list[StagePart]:
     start = _origin(record, stage, "start")
     before: list[tuple[Path, dict[str, Any]]] = []
     if stage == "student":
-        own = find_teacher(run / "teacher") if not said(record, stage, "teacher") else None
+        own = (
+            find_teacher(run / "teacher") if not recorded_option(record, stage, "teacher") else None
+        )
         taught = (own, _training(own)) if own else _origin(record, stage, "teacher")
         assert taught is not None
         before.append(taught)
@@ -123,7 +125,7 @@ def _origin(
     record: Mapping[str, Any], stage: str, option: str
 ) -> tuple[Path, dict[str, Any]] | None:
     """The policy that an option of a run named, and how it was described then."""
-    entry = _saying(record, stage, option)
+    entry = _entry_with(record, stage, option)
     if entry is None:
         return None
     name = entry["args"][option]
@@ -132,7 +134,7 @@ def _origin(
     return folder, entry.get("behind", {}).get(option) or _training(folder)
 
 
-def said(record: Mapping[str, Any], stage: str, option: str) -> Any:
+def recorded_option(record: Mapping[str, Any], stage: str, option: str) -> Any:
     """What an option of a run was when ``stage`` was begun.
 
     Args:
@@ -140,11 +142,11 @@ def said(record: Mapping[str, Any], stage: str, option: str) -> Any:
         stage: a stage; ``--stage all`` begins with the teacher.
         option: ``start``, which counts only for the first stage of a command, or ``teacher``.
     """
-    entry = _saying(record, stage, option)
+    entry = _entry_with(record, stage, option)
     return None if entry is None else entry["args"][option]
 
 
-def _saying(record: Mapping[str, Any], stage: str, option: str) -> Mapping[str, Any] | None:
+def _entry_with(record: Mapping[str, Any], stage: str, option: str) -> Mapping[str, Any] | None:
     """The part of a record, begun or resumed, that has an option for a stage."""
     for entry in (record, *record.get("resumed", ())):
         args = entry["args"]
@@ -247,7 +249,7 @@ def commands(parts: Sequence[StagePart]) -> list[str]:
         record = read_run(run)
         for option in ("teacher", "start") if stage == "student" else ("start",):
             if origin := _origin(record, stage, option):
-                words += [f"--{option}", _called(*origin, names, parts)]
+                words += [f"--{option}", _run_name(*origin, names, parts)]
         if run in begun:
             words.append("--resume")
         begun.add(run)
@@ -268,7 +270,7 @@ def _run_names(parts: Sequence[StagePart]) -> dict[Path, str]:
     return names
 
 
-def _called(
+def _run_name(
     folder: Path,
     training: dict[str, Any],
     names: Mapping[Path, str],

@@ -20,7 +20,7 @@ from questsim.viewing.camera import Camera, follow, three_quarter_azimuth
 from questsim.viewing.captions import caption
 from questsim.viewing.costume import REFERENCE
 from questsim.viewing.outline import outline_points
-from questsim.viewing.render import Figure, SceneRenderer, thing_markers
+from questsim.viewing.render import Figure, SceneRenderer, object_markers
 from questsim.viewing.video import write_video
 
 
@@ -108,7 +108,7 @@ def _shot(rollout: Rollout, aspect: float, layout: Layout, ground: HeightField |
     points = [
         outline_points(rollout.link_position, rollout.link_quat, rollout.height_m),
         outline_points(position + aside[:, None], quat, rollout.height_m),
-        *(thing.corners_near(rollout.link_position[:, 0]) for thing in rollout.things),
+        *(obj.corners_near(rollout.link_position[:, 0]) for obj in rollout.objects),
     ]
     person = clip.qpos[:frames].copy()
     person[:, :3] += aside
@@ -129,11 +129,11 @@ def _shot(rollout: Rollout, aspect: float, layout: Layout, ground: HeightField |
 
 
 def _picture(renderer: SceneRenderer, shot: _Shot, frame: int, legend: str) -> np.ndarray:
-    """One tile: the avatar with the user's devices as markers, the person, things, captions."""
+    """One tile: the avatar with the user's devices as markers, the person, objects, captions."""
     rollout = shot.rollout
     markers = renderer.device_markers(shot.person[frame], 1, -shot.aside[frame])
-    for thing in rollout.things:
-        markers += thing_markers(thing.parts, thing.position[frame], thing.quat[frame])
+    for obj in rollout.objects:
+        markers += object_markers(obj.parts, obj.position[frame], obj.quat[frame])
     picture = renderer.render(
         [shot.avatar[frame], shot.person[frame]], shot.cameras[frame], markers
     )
@@ -258,13 +258,13 @@ def one_of_each_kind(rollouts: Sequence[T], count: int) -> list[T]:
     return turns[:count]
 
 
-def named(things: Sequence[T], names: Sequence[str], option: str) -> list[T]:
+def named(choices: Sequence[T], names: Sequence[str], option: str) -> list[T]:
     """Rollouts or motions by their names, in the order of the names.
 
     Raises:
         InputError: there is none of a name.
     """
-    by_name = {thing.name: thing for thing in reversed(things)}
+    by_name = {one.name: one for one in reversed(choices)}
     for name in names:
         if name not in by_name:
             known = sorted(by_name)

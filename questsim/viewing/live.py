@@ -14,8 +14,8 @@ import numpy as np
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.heightfield import HeightField
+from questsim.objects import ObjectShape
 from questsim.skeleton import FOOT_LINKS, LINKS
-from questsim.things import Part
 
 NEWTONS_PER_METRE = 1500.0
 """Of force arrows: a foot that carries 70 kg has one of 46 cm."""
@@ -32,7 +32,7 @@ ROUGHNESS = (0.0, 2.0)
 
 
 @dataclass(frozen=True)
-class Stage:
+class Scenery:
     """What a picture needs that seldom changes.
 
     Attributes:
@@ -46,7 +46,7 @@ class Stage:
     number: int
     height_m: float = DEFAULT_HEIGHT_M
     ground: HeightField | None = None
-    parts: tuple[Part, ...] = ()
+    parts: tuple[ObjectShape, ...] = ()
     user_height_m: float | None = None
 
     @property
@@ -60,7 +60,7 @@ class Snapshot:
     """One moment of a simulation.
 
     Attributes:
-        stage: what it stands on.
+        scenery: what it stands on.
         step: steps since the session began; every snapshot of a moment has one of its own.
         time_s: seconds since the clip's first frame.
         duration_s: of the clip.
@@ -73,7 +73,7 @@ class Snapshot:
         qpos, reference_qpos: ``(40,)`` both poses, as pictures take them.
         error_m: mean distance of the links from the reference.
         push_n: ``(3,)`` the force of a push on the chest now, or zeros.
-        thing: ``(3,)`` where the object is and ``(4,)`` its orientation, or None.
+        object_pose: ``(3,)`` where the object is and ``(4,)`` its orientation, or None.
         outcome: ``""``, ``"fell"`` or ``"completed"``.
         paused: whether time stands still.
         note: about the agent, such as the age of its checkpoint.
@@ -81,7 +81,7 @@ class Snapshot:
             no contact forces, and nothing can push it.
     """
 
-    stage: Stage
+    scenery: Scenery
     step: int
     time_s: float
     duration_s: float
@@ -96,7 +96,7 @@ class Snapshot:
     reference_qpos: np.ndarray
     error_m: float
     push_n: np.ndarray
-    thing: tuple[np.ndarray, np.ndarray] | None = None
+    object_pose: tuple[np.ndarray, np.ndarray] | None = None
     outcome: str = ""
     paused: bool = False
     note: str = ""
@@ -128,12 +128,12 @@ class Settings:
     """What a viewer can choose.
 
     Attributes:
-        clip, agent, sensors, terrain, thing: names out of ``Choices``.
+        clip, agent, sensors, terrain, object: names out of ``Choices``.
         roughness: multiplies what the terrain has of its own, such as ±4 cm of rough ground or
             steps of 8 cm; within ``ROUGHNESS``.
         height_m: the user's stature.
         speed: how fast time goes; 1 is real time.
-        thing: the object, or ``"none"``.
+        object: the object, or ``"none"``.
         avatar_height_m: the avatar's stature; None for the user's.
     """
 
@@ -144,7 +144,7 @@ class Settings:
     roughness: float = 1.0
     height_m: float = DEFAULT_HEIGHT_M
     speed: float = 1.0
-    thing: str = "none"
+    object: str = "none"
     avatar_height_m: float | None = None
 
     @property
@@ -161,7 +161,7 @@ class Choices:
     agents: tuple[str, ...]
     sensors: tuple[str, ...]
     terrains: tuple[str, ...] = ("flat",)
-    things: tuple[str, ...] = ("none",)
+    objects: tuple[str, ...] = ("none",)
 
 
 @dataclass
@@ -192,7 +192,7 @@ class Trace:
 
 
 class Session(Protocol):
-    """A simulation that can be watched and asked for things; every method from any thread."""
+    """A simulation that can be watched and controlled; every method from any thread."""
 
     @property
     def settings(self) -> Settings:

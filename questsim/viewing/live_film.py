@@ -10,13 +10,13 @@ import numpy as np
 
 from questsim import rotations as rot
 from questsim.motion.clip import FPS
-from questsim.things import Thing
+from questsim.objects import ObjectTrack
 from questsim.viewing.camera import follow, three_quarter_azimuth
 from questsim.viewing.captions import caption
 from questsim.viewing.costume import REFERENCE
 from questsim.viewing.live import Settings, Snapshot, force_arrows
 from questsim.viewing.outline import outline_points
-from questsim.viewing.render import Arrow, Figure, Marker, SceneRenderer, thing_markers
+from questsim.viewing.render import Arrow, Figure, Marker, SceneRenderer, object_markers
 from questsim.viewing.video import write_gif, write_video
 
 LEGEND = "orange: avatar   blue: its user   green: forces"
@@ -33,7 +33,7 @@ class Take:
 
     Attributes:
         settings: what was followed by whom.
-        moments: one snapshot a frame, all on one stage.
+        moments: one snapshot a frame, all on one scenery.
     """
 
     settings: Settings
@@ -68,17 +68,17 @@ def take_frames(take: Take, width: int, height: int, stride: int = 1) -> Iterato
     Raises:
         NoGLError: there is no OpenGL library to render with.
     """
-    first = take.moments[0].stage
+    first = take.moments[0].scenery
     position = np.stack([m.position for m in take.moments])
     quat = np.stack([m.quat for m in take.moments])
     outlines = [outline_points(position, quat, first.height_m)]
     if first.user_m > first.height_m:
         outlines.append(_user_outline(take))
-    things = [m.thing for m in take.moments if m.thing is not None]
-    if things:
-        place, turn = zip(*things, strict=True)
+    poses = [m.object_pose for m in take.moments if m.object_pose is not None]
+    if poses:
+        place, turn = zip(*poses, strict=True)
         outlines.append(
-            Thing(first.parts, np.stack(place), np.stack(turn)).corners_near(position[:, 0])
+            ObjectTrack(first.parts, np.stack(place), np.stack(turn)).corners_near(position[:, 0])
         )
     cameras = follow(
         np.concatenate(outlines, axis=1),
@@ -102,7 +102,7 @@ def _user_outline(take: Take) -> np.ndarray:
     return outline_points(
         np.stack([m.reference_position for m in take.moments]),
         np.stack([m.reference_quat for m in take.moments]),
-        take.moments[0].stage.user_m,
+        take.moments[0].scenery.user_m,
     )
 
 
@@ -113,8 +113,8 @@ def _marks(moment: Snapshot) -> list[Marker | Arrow]:
         Marker(position, matrix, _DEVICE_SIZE_M)
         for position, matrix in zip(moment.device_position, matrices, strict=True)
     ]
-    if moment.thing is not None:
-        marks += thing_markers(moment.stage.parts, *moment.thing)
+    if moment.object_pose is not None:
+        marks += object_markers(moment.scenery.parts, *moment.object_pose)
     for i, (start, end) in enumerate(force_arrows(moment)):
         if np.linalg.norm(end - start) > _LEAST_ARROW_M:
             marks.append(Arrow(start, end, rgba=_PUSH_RED) if i == 2 else Arrow(start, end))
@@ -123,15 +123,15 @@ def _marks(moment: Snapshot) -> list[Marker | Arrow]:
 
 def _captioned(picture: np.ndarray, moment: Snapshot, settings: Settings) -> np.ndarray:
     ground = settings.terrain + (
-        f" x {settings.roughness:g}" if moment.stage.ground is not None else " ground"
+        f" x {settings.roughness:g}" if moment.scenery.ground is not None else " ground"
     )
     fell = moment.outcome == "fell"
     state = "fell" if fell else f"error {100.0 * moment.error_m:.1f} cm"
     push = np.linalg.norm(moment.push_n)
     pushed = f"   push {push:.0f} N" if push else ""
-    stage, agent = moment.stage, settings.agent + ("" if moment.physics else " (no physics)")
-    differ = stage.user_m != stage.height_m
-    sizes = f"   {stage.height_m:.2f} m, its user {stage.user_m:.2f} m" if differ else ""
+    scenery, agent = moment.scenery, settings.agent + ("" if moment.physics else " (no physics)")
+    differ = scenery.user_m != scenery.height_m
+    sizes = f"   {scenery.height_m:.2f} m, its user {scenery.user_m:.2f} m" if differ else ""
     return caption(
         picture,
         {

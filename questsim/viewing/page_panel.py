@@ -94,7 +94,7 @@ class PagePanel:
         with gui.add_folder("World"):
             self._choice("Terrain", "terrain", choices.terrains)
             self._slider("Roughness", "roughness", ROUGHNESS, 0.1)
-            self._choice("Object", "thing", choices.things)
+            self._choice("Object", "object", choices.objects)
 
     def _choice(self, label: str, setting: str, options: tuple[str, ...]) -> None:
         value = getattr(self._session.settings, setting)

@@ -15,10 +15,10 @@ from trimesh.visual.material import PBRMaterial
 
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.heightfield import HeightField
+from questsim.objects import ObjectShape
 from questsim.skeleton import LINKS
-from questsim.things import Part
 from questsim.viewing.costume import AVATAR, REFERENCE, Piece, costume_pieces
-from questsim.viewing.live import Snapshot, Stage, force_arrows
+from questsim.viewing.live import Scenery, Snapshot, force_arrows
 from questsim.viewing.render import metre_tile
 
 SKY = (226, 232, 240)
@@ -47,7 +47,7 @@ class PageScene:
     def __init__(self, server: viser.ViserServer) -> None:
         self._server, self._scene = server, server.scene
         self.follow, self.ghost, self.devices, self.forces = True, True, True, True
-        self._stage: Stage | None = None
+        self._scenery: Scenery | None = None
         self._centre = np.zeros(3)
         self._time_s = 0.0
         _light(server)
@@ -73,7 +73,7 @@ class PageScene:
             head_length=_ARROW_HEAD_M,
         )
         self._ground: viser.SceneNodeHandle | None = None
-        self._thing: viser.SceneNodeHandle | None = None
+        self._object: viser.SceneNodeHandle | None = None
 
     def _link(self, name: str, link: str) -> viser.SceneNodeHandle:
         return self._scene.add_mesh_trimesh(name, _clothed(link))
@@ -93,8 +93,8 @@ class PageScene:
     def show(self, snapshot: Snapshot) -> None:
         """Bring the picture to a moment."""
         with self._server.atomic():
-            if snapshot.stage != self._stage:
-                self._set(snapshot.stage)
+            if snapshot.scenery != self._scenery:
+                self._set(snapshot.scenery)
             for nodes, position, quat in (
                 (self._avatar, snapshot.position, snapshot.quat),
                 (self._person, snapshot.reference_position, snapshot.reference_quat),
@@ -117,31 +117,31 @@ class PageScene:
             for node, visible in ((self._axes, self.devices), (self._arrows, self.forces)):
                 if node.visible != visible:
                     node.visible = visible
-            if self._thing is not None and snapshot.thing is not None:
-                self._thing.position, self._thing.wxyz = snapshot.thing
+            if self._object is not None and snapshot.object_pose is not None:
+                self._object.position, self._object.wxyz = snapshot.object_pose
             self._move_world(snapshot)
 
-    def _set(self, stage: Stage) -> None:
-        """Put up another stage."""
-        before, self._stage = self._stage, stage
-        for nodes, height_m in ((self._avatar, stage.height_m), (self._person, stage.user_m)):
+    def _set(self, scenery: Scenery) -> None:
+        """Put up another scenery."""
+        before, self._scenery = self._scenery, scenery
+        for nodes, height_m in ((self._avatar, scenery.height_m), (self._person, scenery.user_m)):
             for node in nodes:
                 scale = height_m / DEFAULT_HEIGHT_M
                 node.scale = scale  # pyright: ignore[reportAttributeAccessIssue]
-        if self._ground is None or before is None or before.ground is not stage.ground:
+        if self._ground is None or before is None or before.ground is not scenery.ground:
             self._ground = self._scene.add_mesh_trimesh(
-                "/world/ground", ground_mesh(stage.ground), cast_shadow=False
+                "/world/ground", ground_mesh(scenery.ground), cast_shadow=False
             )
-        if self._thing is not None:
-            self._thing.remove()
-            self._thing = None
-        if stage.parts:
-            self._thing = self._scene.add_mesh_trimesh("/world/thing", thing_mesh(stage.parts))
+        if self._object is not None:
+            self._object.remove()
+            self._object = None
+        if scenery.parts:
+            self._object = self._scene.add_mesh_trimesh("/world/object", object_mesh(scenery.parts))
         self._centre = np.full(3, np.nan)
 
     def _move_world(self, snapshot: Snapshot) -> None:
         """Let the world glide by so that the avatar stays in the middle."""
-        aim = snapshot.position[0] - [0.0, 0.0, 0.53 * snapshot.stage.height_m]
+        aim = snapshot.position[0] - [0.0, 0.0, 0.53 * snapshot.scenery.height_m]
         elapsed = abs(snapshot.step / 36.0 - self._time_s)
         self._time_s = snapshot.step / 36.0
         if np.isnan(self._centre).any() or np.linalg.norm(aim - self._centre) > 2.0:
@@ -247,7 +247,7 @@ def ground_mesh(ground: HeightField | None) -> trimesh.Trimesh:
     return mesh
 
 
-def thing_mesh(parts: Sequence[Part]) -> trimesh.Trimesh:
+def object_mesh(parts: Sequence[ObjectShape]) -> trimesh.Trimesh:
     """An object in two colours, so that its rolling shows."""
     vertices, faces, count = [], [], 0
     for part in parts:

@@ -10,8 +10,8 @@ import numpy as np
 
 from questsim import rotations as rot
 from questsim.heightfield import HeightField
+from questsim.objects import ObjectShape
 from questsim.skeleton import NUM_DOFS
-from questsim.things import Part
 from questsim.viewing.camera import FOVY_DEG, Camera
 from questsim.viewing.costume import AVATAR, Look, figure_spec
 from questsim.viewing.gl import use_gl
@@ -93,8 +93,8 @@ class Arrow:
     rgba: tuple[float, float, float, float] = (0.12, 0.63, 0.35, 1.0)
 
 
-def thing_markers(
-    parts: Sequence[Part], position: np.ndarray, quat: np.ndarray
+def object_markers(
+    parts: Sequence[ObjectShape], position: np.ndarray, quat: np.ndarray
 ) -> list[Marker | Arrow]:
     """An object made of ``parts`` that is at ``position`` ``(3,)``, turned by ``quat`` ``(4,)``."""
     turn = rot.quat_to_matrix(quat)

@@ -74,7 +74,7 @@ def turning(quat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @dataclass(frozen=True)
-class Figure:
+class PosedSkeleton:
     """A pose in the world, and perhaps how it changes with the 30 unknowns.
 
     Attributes:
@@ -113,7 +113,7 @@ class DragModel:
         root: np.ndarray,
         offsets: np.ndarray,
         slopes: bool = False,
-    ) -> Figure:
+    ) -> PosedSkeleton:
         """The pose of unknowns.
 
         Args:
@@ -141,7 +141,7 @@ class DragModel:
         quat[0] = own
         if not slopes:
             none = np.zeros((NUM_JOINTS, 4, 0))
-            return Figure(position, quat, none[:, :3], none)
+            return PosedSkeleton(position, quat, none[:, :3], none)
 
         d_own = np.zeros((4, UNKNOWNS))
         d_own[:, :LATENT] = right_matrix(half) @ before @ d_local[0]
@@ -156,7 +156,7 @@ class DragModel:
         d_quat = right_matrix(local) @ d_own
         d_quat[..., :LATENT] += left_matrix(own) @ d_local
         d_quat[0] = d_own
-        return Figure(position, quat, d_position, d_quat)
+        return PosedSkeleton(position, quat, d_position, d_quat)
 
     def _decoded(
         self, latent: np.ndarray, slopes: bool

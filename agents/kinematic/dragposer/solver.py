@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from agents.kinematic.dragposer.constraints import Constraint
-from agents.kinematic.dragposer.model import UNKNOWNS, DragModel, Figure, left_matrix
+from agents.kinematic.dragposer.model import UNKNOWNS, DragModel, PosedSkeleton, left_matrix
 from agents.kinematic.dragposer.networks import (
     HEIGHT_JOINTS,
     LATENT,
@@ -26,7 +26,7 @@ from agents.kinematic.dragposer.networks import (
     TOKEN_EVERY,
     DragPoserModule,
 )
-from agents.kinematic.interface import Body, KinematicSystem, Poses, Signals
+from agents.kinematic.interface import DeviceSignals, KinematicSystem, Poses, UserBody
 from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.sensors import DEVICES as WORN
@@ -148,7 +148,7 @@ class DragPoser(KinematicSystem):
         """See the base class."""
         return "three or more of " + ", ".join(DEVICES)
 
-    def _begin(self, body: Body) -> None:
+    def _begin(self, body: UserBody) -> None:
         drop = -body.offsets[[JOINTS.index("left_toe"), JOINTS.index("right_toe")], 2].mean()
         self._ankle_rise = max(float(drop), 0.0) + ANKLE_RISE_M
         self._latent: np.ndarray | None = None
@@ -162,7 +162,7 @@ class DragPoser(KinematicSystem):
     # -- a frame ---------------------------------------------------------------------------
 
     @torch.no_grad()
-    def _next(self, signals: Signals) -> Poses:
+    def _next(self, signals: DeviceSignals) -> Poses:
         goal = self._goal(signals)
         iterations = self.iterations
         if self._latent is None:
@@ -189,7 +189,7 @@ class DragPoser(KinematicSystem):
                 )
         return Poses(figure.position[:1].copy(), local[None], self._body.offsets[None])
 
-    def _goal(self, signals: Signals) -> Goal:
+    def _goal(self, signals: DeviceSignals) -> Goal:
         shown = [i for i in range(len(self._mounts)) if signals.present[0, i]]
         joints = [self._mounts[i].joint for i in shown]
         weights = [HIP_WEIGHTS if joint == HIP else OTHER_WEIGHTS for joint in joints]
@@ -219,7 +219,7 @@ class DragPoser(KinematicSystem):
         goal.root = goal.position[at] - self._figure(unknowns, goal).position[anchor]
         return unknowns
 
-    def _figure(self, unknowns: np.ndarray, goal: Goal, slopes: bool = False) -> Figure:
+    def _figure(self, unknowns: np.ndarray, goal: Goal, slopes: bool = False) -> PosedSkeleton:
         return self.model.figure(unknowns, goal.turn, goal.root, self._body.offsets, slopes)
 
     def _residuals(
@@ -318,7 +318,7 @@ class DragPoser(KinematicSystem):
         share = min(self._since + 1, TOKEN_EVERY) / TOKEN_EVERY
         return self._coming[0] * (1 - share) + self._coming[1] * share
 
-    def _note_token(self, figure: Figure) -> None:
+    def _note_token(self, figure: PosedSkeleton) -> None:
         """Every fourth frame: remember a token, and predict the latent four frames on."""
         self._since += 1
         if not self.use_predictor or (self._tokens and self._since < TOKEN_EVERY):
@@ -354,7 +354,7 @@ def _hold(goal: Goal) -> np.ndarray:
     return np.repeat(np.sqrt(weights), [LATENT, 3, 3])
 
 
-def _off_trackers(figure: Figure, goal: Goal) -> list[_Part]:
+def _off_trackers(figure: PosedSkeleton, goal: Goal) -> list[_Part]:
     """Metres, and twice the vector parts of the turns, that joints are off their trackers."""
     scales = np.sqrt(goal.weights / (3.0 * len(goal.joints)))
     back = left_matrix(rot.quat_conjugate(goal.quat))
@@ -370,7 +370,7 @@ def _off_trackers(figure: Figure, goal: Goal) -> list[_Part]:
     ]
 
 
-def _asked(constraint: Constraint, figure: Figure) -> _Part:
+def _asked(constraint: Constraint, figure: PosedSkeleton) -> _Part:
     """The root of a user's loss; where it has no slope, none is followed."""
     position = torch.from_numpy(figure.position)[None].requires_grad_()
     quat = torch.from_numpy(figure.quat)[None].requires_grad_()
@@ -386,12 +386,12 @@ def _asked(constraint: Constraint, figure: Figure) -> _Part:
     return np.array([float(root.detach())]), slope, np.ones(1)
 
 
-def _near(figure: Figure, goal: Goal) -> bool:
+def _near(figure: PosedSkeleton, goal: Goal) -> bool:
     apart = ((figure.position[goal.joints] - goal.position) ** 2).mean()
     dot = np.abs((figure.quat[goal.joints] * goal.quat).sum(-1))
     return bool(apart <= GOOD_POSITION) and bool((1.0 - dot).mean() <= GOOD_ROTATION)
 
 
-def _mean_distance(figure: Figure, goal: Goal) -> float:
+def _mean_distance(figure: PosedSkeleton, goal: Goal) -> float:
     """Metres that the joints are off their trackers."""
     return float(np.linalg.norm(figure.position[goal.joints] - goal.position, axis=-1).mean())

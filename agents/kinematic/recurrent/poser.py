@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from agents.kinematic.data import MotionBank, Windows
 from agents.kinematic.dragposer.assembly import assembled
 from agents.kinematic.few_rows import linear
-from agents.kinematic.interface import Body, KinematicSystem, Poses, Signals
+from agents.kinematic.interface import DeviceSignals, KinematicSystem, Poses, UserBody
 from agents.kinematic.learning import Learning, Task
 from agents.kinematic.recurrent.features import DEVICES, HEAD, SENSOR_JOINTS, features
 from agents.kinematic.recurrent.hmdposer import HmdPoserNet, HmdPoserSpec
@@ -96,7 +96,7 @@ class RecurrentPoser(KinematicSystem):
             )
         return names
 
-    def _begin(self, body: Body) -> None:
+    def _begin(self, body: UserBody) -> None:
         assert self._names is not None
         there = [name in self._names for name in DEVICES]
         self._worn = np.flatnonzero(there)
@@ -107,7 +107,7 @@ class RecurrentPoser(KinematicSystem):
         self._before: tuple[Tensor, Tensor, Tensor] | None = None
         self._shape_sum, self._count = torch.zeros(NUM_BONES), 0
 
-    def _inputs(self, signals: Signals) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def _inputs(self, signals: DeviceSignals) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Signals in the order of ``DEVICES``, with a batch of one, and which IMUs there are."""
         frames, worn, at = len(signals.position), self._worn, self._columns
         rotation = np.broadcast_to(np.eye(3, dtype=np.float32), (frames, len(DEVICES), 3, 3)).copy()
@@ -119,7 +119,7 @@ class RecurrentPoser(KinematicSystem):
         return moved[None], turned[None], pulled[None], self._seen
 
     @torch.no_grad()
-    def _next(self, signals: Signals) -> Poses:
+    def _next(self, signals: DeviceSignals) -> Poses:
         position, rotation, acceleration, seen = self._inputs(signals)
         now = (position, rotation, acceleration)
         # The frame before, so that velocities have something to start from.
@@ -141,7 +141,7 @@ class RecurrentPoser(KinematicSystem):
         return Poses(root, quat, offsets.double().numpy())
 
     @torch.no_grad()
-    def predict_windows(self, sequence: SensorSequence, body: Body, frames: int) -> Poses:
+    def predict_windows(self, sequence: SensorSequence, body: UserBody, frames: int) -> Poses:
         """Each frame from the ``frames`` up to it alone, states from zero (LGSIK-Poser's protocol).
 
         Shape numbers are means over the window. Windows of the first frames are short.
@@ -152,7 +152,7 @@ class RecurrentPoser(KinematicSystem):
             frames: of a window.
         """
         signals = self._all_signals(sequence, body)
-        first = Signals(*(array[:frames] for array in vars(signals).values()))
+        first = DeviceSignals(*(array[:frames] for array in vars(signals).values()))
         # Windows that begin with the sequence are what a stream has seen by then.
         parts = [self._next(first)]
         position, rotation, acceleration, seen = self._inputs(signals)
@@ -170,7 +170,7 @@ class RecurrentPoser(KinematicSystem):
             parts.append(self._poses(six[:, -1], shape.mean(dim=1), heading[:, -1], head))
         return Poses.joined(parts)
 
-    def predict(self, sequence: SensorSequence, body: Body) -> Poses:
+    def predict(self, sequence: SensorSequence, body: UserBody) -> Poses:
         """As ``KinematicSystem.predict``, all frames at once where the stream has no gap."""
         gaps = np.diff(sequence.time_s) * SENSOR_FPS
         if len(sequence) < 2 or abs(gaps - 1.0).max() > 0.5 or not sequence.present.all():
@@ -178,7 +178,7 @@ class RecurrentPoser(KinematicSystem):
         poses = self._next(self._all_signals(sequence, body))
         return poses if poses.finite() else super().predict(sequence, body)
 
-    def _all_signals(self, sequence: SensorSequence, body: Body) -> Signals:
+    def _all_signals(self, sequence: SensorSequence, body: UserBody) -> DeviceSignals:
         """A stream begins: the signals of all its frames, checked as ``step`` does."""
         self.reset(body, sequence.names)
         frames = []
@@ -190,7 +190,7 @@ class RecurrentPoser(KinematicSystem):
             np.stack([f.position for f in frames]), np.stack([f.quat for f in frames]), mounted
         )
         acceleration = np.stack([f.acceleration for f in frames])
-        return Signals(position, quat, acceleration, np.stack([f.present for f in frames]))
+        return DeviceSignals(position, quat, acceleration, np.stack([f.present for f in frames]))
 
 
 def _compile() -> None:

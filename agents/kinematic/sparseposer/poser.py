@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.kinematic.interface import Body, KinematicSystem, Poses, Signals
+from agents.kinematic.interface import DeviceSignals, KinematicSystem, Poses, UserBody
 from agents.kinematic.skeletal import (
     PARENTS,
     POOLINGS,
@@ -338,7 +338,7 @@ class SparsePoser(KinematicSystem):
         self.future_frames, self.learned_ik = future_frames, learned_ik
         module.eval()
 
-    def _begin(self, body: Body) -> None:
+    def _begin(self, body: UserBody) -> None:
         assert self._names is not None
         self._columns = [self._names.index(device) for device in DEVICES]
         self._offsets = torch.as_tensor(body.offsets, dtype=torch.float32)[None]
@@ -346,7 +346,7 @@ class SparsePoser(KinematicSystem):
         self._position: Tensor | None = None
         self._quat: Tensor | None = None
 
-    def _remember(self, signals: Signals) -> tuple[Tensor, Tensor]:
+    def _remember(self, signals: DeviceSignals) -> tuple[Tensor, Tensor]:
         """The last 64 frames of the trackers, the first one repeated where there are fewer."""
         position, quat = signals.position[0, self._columns], signals.quat[0, self._columns]
         feet = [1, 2]
@@ -362,7 +362,7 @@ class SparsePoser(KinematicSystem):
         return self._position[None], self._quat[None]
 
     @torch.no_grad()
-    def _next(self, signals: Signals) -> Poses:
+    def _next(self, signals: DeviceSignals) -> Poses:
         position, quat = self._remember(signals)
         at = WINDOW - 1 - self.future_frames
         sparse, ends = self.module.sparse(position, quat)

@@ -13,14 +13,14 @@ from questsim.errors import InputError
 
 
 @dataclass(frozen=True)
-class ListArgs:
+class ListEnvsArgs:
     """List the environments and their options."""
 
     name: str | None = None
     """Describe this environment or terrain in full."""
 
 
-def list_environments(args: ListArgs) -> int:
+def list_environments(args: ListEnvsArgs) -> int:
     """Print ids with what each changes, or all options of one; returns the exit code.
 
     Raises:

@@ -28,7 +28,7 @@ SLIDES_M = 0.08
 """A foot that stands but has moved this far stands on other ground."""
 
 
-class Steps(NamedTuple):
+class Footsteps(NamedTuple):
     """Of ``F`` frames of all clips and of two feet, all ``(F, 2)``; rows as in ``Reference``.
 
     Attributes:
@@ -46,7 +46,7 @@ class Steps(NamedTuple):
     stays: np.ndarray
 
 
-def steps_of(clips: Sequence[Clip]) -> Steps:
+def footsteps_of(clips: Sequence[Clip]) -> Footsteps:
     """The steps of clips of the 1.75 m body, one clip after the other."""
     parts, begin = [np.zeros((6, 0, 2))], 0
     for clip in clips:
@@ -56,7 +56,7 @@ def steps_of(clips: Sequence[Clip]) -> Steps:
         begin += len(clip)
     rows = np.concatenate(parts, axis=1)
     before, after, first, last = rows[:4].astype(np.int64)
-    return Steps(before, after, first, last, rows[4].astype(bool), rows[5])
+    return Footsteps(before, after, first, last, rows[4].astype(bool), rows[5])
 
 
 def _soles(clip: Clip, foot: int) -> tuple[np.ndarray, np.ndarray]:
@@ -72,7 +72,7 @@ def _soles(clip: Clip, foot: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _foot_steps(stands: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Fields of ``Steps`` ``(6, F)`` of one foot of one clip, rows counted from its first."""
+    """Fields of ``Footsteps`` ``(6, F)`` of one foot of one clip, rows counted from its first."""
     count = len(stands)
     if not stands.any():  # in the air all the time: the ground is where it is
         rows = np.arange(count)

@@ -15,7 +15,7 @@ _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 
 
 @dataclass(frozen=True)
-class Part:
+class ObjectShape:
     """A shape of which an object is made.
 
     Attributes:
@@ -30,7 +30,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Thing:
+class ObjectTrack:
     """An object while something happened.
 
     Attributes:
@@ -39,7 +39,7 @@ class Thing:
         quat: ``(F, 4)`` orientations, quaternions wxyz.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[ObjectShape, ...]
     position: np.ndarray
     quat: np.ndarray
 

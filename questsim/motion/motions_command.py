@@ -60,7 +60,7 @@ class FetchArgs:
 
 
 @dataclass
-class ListArgs:
+class ListMotionsArgs:
     """Say what a motion argument contains."""
 
     spec: tyro.conf.Positional[str]
@@ -133,7 +133,7 @@ def fetch_dataset(args: FetchArgs) -> None:
     fetch(args.name, args.mirror)
 
 
-def list_motions(args: ListArgs) -> None:
+def list_motions(args: ListMotionsArgs) -> None:
     """Prints the kinds, and on request the clips, that a motion argument contains."""
     clips = load_motions(args.spec)
     groups: dict[tuple[str, str], list[Clip]] = defaultdict(list)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 
-class Chance:
+class EpisodeRandom:
     """Even random numbers in [0, 1) for what happens in episodes.
 
     Args:
