@@ -230,29 +230,3 @@ class QuestVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def close_extras(self, **kwargs: Any) -> None:
         """Stop the simulation's threads."""
         self.sim.close()
-
-
-ENVIRONMENTS: dict[str, dict[str, Any]] = {
-    "QuestSim-v0": {},
-    "QuestSimHeadset-v0": {"sensors": "H"},
-    "QuestSimRough-v0": {"terrain": "rough"},
-    "QuestSimWaves-v0": {"terrain": "waves"},
-    "QuestSimSlope-v0": {"terrain": "slope"},
-    "QuestSimStairs-v0": {"terrain": "stairs"},
-    "QuestSimSteps-v0": {"terrain": "steps"},
-    "QuestSimGaps-v0": {"terrain": "gaps"},
-    "QuestSimCourse-v0": {"terrain": "course"},
-    "QuestSimMixed-v0": {"terrain": "mixed"},
-}
-"""Ids and the options in which each differs from the defaults of ``EnvConfig``."""
-
-
-def register() -> None:
-    """Register the environments' ids with gymnasium; ``import envs`` does."""
-    for name, options in ENVIRONMENTS.items():
-        gym.register(
-            name,
-            entry_point="envs.gym:QuestEnv",
-            vector_entry_point="envs.gym:QuestVectorEnv",
-            kwargs=options,
-        )

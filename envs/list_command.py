@@ -6,8 +6,8 @@ from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
 from envs.config import EnvConfig
-from envs.gym import ENVIRONMENTS
 from envs.layout import observation_layout, observation_size
+from envs.registration import ENVIRONMENTS
 from envs.terrain import RANGES, TERRAINS, Terrain, terrain_named
 from questsim.errors import InputError
 

@@ -80,7 +80,9 @@ def test_wheel_declares_licence_and_command(wheel):
     archive = zipfile.ZipFile(wheel)
     info = next(n.partition("/")[0] for n in archive.namelist() if ".dist-info/" in n)
     assert b"License-Expression: MIT AND CC-BY-NC-4.0" in archive.read(f"{info}/METADATA")
-    assert b"questsim = questsim.cli:main" in archive.read(f"{info}/entry_points.txt")
+    entry_points = archive.read(f"{info}/entry_points.txt")
+    assert b"questsim = questsim.cli:main" in entry_points
+    assert b"[gymnasium.envs]" in entry_points
 
 
 @pytest.mark.parametrize("package", ["questsim", "envs", "agents"])

@@ -14,9 +14,9 @@ from helpers import swaying_clip
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from envs import BatchSim, EnvConfig, QuestVecEnv, Terrain, terrain_named
-from envs.gym import ENVIRONMENTS
 from envs.layout import SCAN_POINTS
 from envs.placement import moved, turn_quat
+from envs.registration import ENVIRONMENTS
 from envs.terrain import TERRAINS, height_field, tile_centre
 from questsim import reward
 from questsim import rotations as rot

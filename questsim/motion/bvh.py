@@ -10,9 +10,9 @@ import hashlib
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from pymotion.io.bvh import BVH
 from scipy.spatial.transform import Rotation
 
 from questsim.errors import InputError
@@ -270,12 +270,14 @@ def _refuse_row(path: Path, number: int):
     )
 
 
-def _load(header: _Header, frame_time: float, rows: list[tuple[int, str]]) -> BVH:
-    """A checked file as pymotion reads it.
+def _load(header: _Header, frame_time: float, rows: list[tuple[int, str]]) -> Any:
+    """A checked file as pymotion's ``BVH`` reads it.
 
     It gets a plain copy, because its parser finds keywords anywhere in a line (in a joint's
     name too) and stumbles over blank lines and ``Frames:12``.
     """
+    from pymotion.io.bvh import BVH  # late, for PyTorch, which it imports
+
     bvh = BVH()
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "plain.bvh"

@@ -246,7 +246,7 @@ def _synthetic(part: str, seed: int) -> list[Clip]:
         if kind not in known:
             raise InputError(f"there is no kind {kind!r}", part, f"choose from {', '.join(known)}")
     # Each is made only if it is asked for.
-    clips = synthetic_clips(seed) if set(wanted) - set(SEATED) else []
+    clips = synthetic_clips(seed, kinds=wanted)
     clips += seated_clips(seed) if set(wanted) & set(SEATED) else []
     return [clip for clip in clips if clip.kind in wanted]
 

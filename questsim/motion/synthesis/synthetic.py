@@ -11,6 +11,7 @@ that free fall stays free fall.
 from __future__ import annotations
 
 import zlib
+from collections.abc import Container
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -24,6 +25,7 @@ from questsim.motion.synthesis.balance import jogging_height, settle, walking_he
 from questsim.motion.synthesis.feet import feet_paths
 from questsim.motion.synthesis.gait_curves import Gait, gait_at
 from questsim.motion.synthesis.gestures import GESTURES, WALKABLE, Gesture
+from questsim.motion.synthesis.kept import kept_poses
 from questsim.motion.synthesis.plan import Path, loads, plan_steps, smoothstep, standing
 from questsim.motion.synthesis.posture import add_gesture, idle, locomotion, sway
 from questsim.motion.synthesis.seat import LEAST_SECONDS, seated_poses
@@ -326,22 +328,29 @@ def _rest(frames: int) -> Gesture:
     return Gesture((None, None), np.zeros(frames), none, none, np.zeros(frames))
 
 
-def synthetic_clips(seed: int = 0, heights: tuple[float, ...] = (DEFAULT_HEIGHT_M,)) -> list[Clip]:
+def synthetic_clips(
+    seed: int = 0,
+    heights: tuple[float, ...] = (DEFAULT_HEIGHT_M,),
+    kinds: Container[str] = KINDS,
+) -> list[Clip]:
     """The default library: clips of 4 to 10 s of every kind, the same bits for the same seed.
 
     Args:
         seed: of the differences between the clips' people.
         heights: statures in metres; every clip is made at each, at speeds that scale with the
             root of the height.
+        kinds: make only these; a clip's bits do not depend on it.
 
     Raises:
         InputError: a height is outside 1.4 to 2.0 m, or the seed is below zero.
     """
     _check_seed(seed)
-    made = []
+    clips = []
     for height in heights:
         pace = float(np.sqrt(height / DEFAULT_HEIGHT_M))
         for number, (label, kind, seconds, options) in enumerate(_catalogue()):
+            if kind not in kinds:
+                continue
             given = dict(options)
             if "speed" in given:
                 speed = float(given["speed"]) * pace
@@ -357,10 +366,9 @@ def synthetic_clips(seed: int = 0, heights: tuple[float, ...] = (DEFAULT_HEIGHT_
                 bool(given.get("start")),
                 bool(given.get("stop")),
             )
-            qpos = _poses(wish, np.random.default_rng([seed, number]))
             suffix = f"-{height:g}m" if len(heights) > 1 else ""
-            made.append((f"synthetic-{label}{suffix}", kind, qpos, height))
-    return _clips(made)
+            clips.append(_kept_clip(f"synthetic-{label}{suffix}", wish, height, (seed, number)))
+    return [_copied(clip) for clip in clips]
 
 
 def seated_clips(seed: int = 0) -> list[Clip]:
@@ -375,14 +383,26 @@ def seated_clips(seed: int = 0) -> list[Clip]:
         InputError: the seed is below zero.
     """
     _check_seed(seed)
-    made = []
+    clips = []
     for kind in SEATED:
         for number in range(4):
             wish = _checked(kind, None, None, 8.0, DEFAULT_HEIGHT_M, False, False)
-            rng = np.random.default_rng([seed, zlib.crc32(kind.encode()), number])
-            made.append((f"synthetic-{kind}-{number + 1}", kind, _poses(wish, rng),
-                         DEFAULT_HEIGHT_M))  # fmt: skip
-    return _clips(made)
+            seeds = (seed, zlib.crc32(kind.encode()), number)
+            name = f"synthetic-{kind}-{number + 1}"
+            clips.append(_kept_clip(name, wish, DEFAULT_HEIGHT_M, seeds))
+    return [_copied(clip) for clip in clips]
+
+
+@lru_cache(maxsize=512)
+def _kept_clip(name: str, wish: _Wish, height_m: float, seeds: tuple[int, ...]) -> Clip:
+    """A clip of the library; callers get copies of it, which they may write to."""
+    poses = kept_poses(f"{wish} {seeds}", lambda: _poses(wish, np.random.default_rng(list(seeds))))
+    return _clips([(name, wish.kind, poses, height_m)])[0]
+
+
+def _copied(clip: Clip) -> Clip:
+    arrays = {name: value for name, value in vars(clip).items() if isinstance(value, np.ndarray)}
+    return replace(clip, **{name: array.copy() for name, array in arrays.items()})
 
 
 def _catalogue() -> list[tuple[str, str, float, dict[str, float | bool]]]:

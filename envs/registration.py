@@ -1,0 +1,39 @@
+"""The environments' ids, and their registration with gymnasium."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gymnasium.envs.registration import register as _register
+from gymnasium.envs.registration import registry
+
+ENVIRONMENTS: dict[str, dict[str, Any]] = {
+    "QuestSim-v0": {},
+    "QuestSimHeadset-v0": {"sensors": "H"},
+    "QuestSimRough-v0": {"terrain": "rough"},
+    "QuestSimWaves-v0": {"terrain": "waves"},
+    "QuestSimSlope-v0": {"terrain": "slope"},
+    "QuestSimStairs-v0": {"terrain": "stairs"},
+    "QuestSimSteps-v0": {"terrain": "steps"},
+    "QuestSimGaps-v0": {"terrain": "gaps"},
+    "QuestSimCourse-v0": {"terrain": "course"},
+    "QuestSimMixed-v0": {"terrain": "mixed"},
+}
+"""Ids and the options in which each differs from the defaults of ``EnvConfig``."""
+
+
+def register() -> None:
+    """Register the ids that are not registered yet.
+
+    ``import envs`` calls it, and so does a program that loads the entry points of the group
+    ``gymnasium.envs``. gymnasium itself loads no entry points since its version 1.0: a process
+    that does not import ``envs`` makes ``gym.make("envs:QuestSim-v0")``.
+    """
+    for name, options in ENVIRONMENTS.items():
+        if name not in registry:
+            _register(
+                name,
+                entry_point="envs.gym:QuestEnv",
+                vector_entry_point="envs.gym:QuestVectorEnv",
+                kwargs=dict(options),
+            )
