@@ -75,12 +75,12 @@ def test_swapped_left_and_right_are_noticed(person):
     assert not check(motion.mirrored()).problems
 
 
-def test_a_person_high_above_the_floor_is_refused_unless_accepted(tmp_path):
-    path = write_bvh(tmp_path / "a.bvh", LAFAN1_JOINTS, standing(9, 300), LAFAN1_T_POSE)
-    with pytest.raises(InputError, match=r"feet are \+2.0\d m from the floor"):
-        read_motion(path)
-    motion, report = read_motion(path, ReadOptions(accept=True))
-    assert len(report.problems) == 1 and len(motion) == 9
+def test_a_person_far_from_the_floor_is_put_on_it_and_the_report_says_so(tmp_path):
+    for height, moved in ((300, "-2.0"), (0, "+0.9")):
+        path = write_bvh(tmp_path / "a.bvh", LAFAN1_JOINTS, standing(9, height), LAFAN1_T_POSE)
+        motion, report = read_motion(path)
+        assert f"moved by {moved}" in str(report)
+        assert abs(motion.forward_kinematics()[0][..., 2].min()) < 0.01
 
 
 def test_a_root_that_jumps_is_refused(tmp_path):

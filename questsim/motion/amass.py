@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from questsim import rotations as rot
 from questsim.errors import InputError
-from questsim.motion.bvh import AGAIN, Recording, read_bytes
 from questsim.motion.convert import global_pose
+from questsim.motion.recording import AGAIN, Recording, read_bytes
 
 NUM_BODY_JOINTS = 22
 SMPL_NAMES: tuple[str, ...] = (

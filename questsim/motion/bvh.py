@@ -16,34 +16,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from questsim.errors import InputError
+from questsim.motion.recording import AGAIN, Recording, read_bytes
 from questsim.rotations import as_quat
 
 POSITIONS = ("Xposition", "Yposition", "Zposition")
 ROTATIONS = {"Xrotation", "Yrotation", "Zrotation"}
-AGAIN = "download or export the file again"
-
-
-@dataclass(frozen=True)
-class Recording:
-    """A motion as its file has it: its own joints, units and axes.
-
-    Attributes:
-        path: the file.
-        names: the ``J`` joint names, parents before children.
-        parents: ``(J,)`` index of each parent; the root's is -1.
-        positions: ``(T, J, 3)`` of each joint in its parent's frame, in the file's units.
-        rotations: ``(T, J, 4)`` local rotations, unit quaternions wxyz.
-        fps: frames a second.
-        sha256: hexadecimal SHA-256 of the file.
-    """
-
-    path: Path
-    names: tuple[str, ...]
-    parents: np.ndarray
-    positions: np.ndarray
-    rotations: np.ndarray
-    fps: float
-    sha256: str
 
 
 def read_bvh(path: str | Path) -> Recording:
@@ -74,19 +51,6 @@ def read_bvh(path: str | Path) -> Recording:
         fps=_nominal_fps(1.0 / frame_time),
         sha256=hashlib.sha256(data).hexdigest(),
     )
-
-
-def read_bytes(path: Path) -> bytes:
-    """The file's content; InputError where it is missing, unreadable or empty."""
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError("no such file", path) from None
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", path) from None
-    if not data.strip():
-        raise InputError("is empty", path, AGAIN)
-    return data
 
 
 def _nominal_fps(fps: float) -> float:

@@ -43,6 +43,10 @@ Source: Winter 2009, table 4.1 (after Dempster 1955); forearm and hand are one s
 FLOOR_TOLERANCE_M = 0.5
 CLEAR_M = 0.04
 MIN_FLIGHT_FRAMES, MAX_FLIGHT_S = 4, 1.5
+MIN_FLIGHTS = 2
+MIN_RISE_M, MAX_MISFIT, MAX_DISAGREEMENT = 0.01, 0.1, 1.0
+"""Of a flight: rise of the centre of mass, its distance from a parabola as a share of the rise,
+and how far flights may differ as a share of their median."""
 GRAVITY_RANGE = (5.0, 18.0)
 """What free fall may measure in m/s^2.
 
@@ -67,6 +71,7 @@ class Report:
         foot_height_m: height of the lowest foot joint.
         gravity: measured free fall in m/s^2; None where no flight was seen.
         problems: one clause for each thing that does not fit; empty if all is well.
+        notes: what was assumed or changed in reading, one clause each.
     """
 
     units: str
@@ -77,13 +82,14 @@ class Report:
     foot_height_m: float
     gravity: float | None
     problems: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         fall = "no flight" if self.gravity is None else f"free fall {self.gravity:.1f} m/s2"
         return (
             f"units {self.units}, up {self.up}, {self.fps:g} fps ({fall}), "
             f"{self.stature_m:.2f} m tall, faces {self.facing_deg:+.0f} deg, "
-            f"feet at {100 * self.foot_height_m:.0f} cm"
+            f"feet at {100 * self.foot_height_m:.0f} cm" + "".join(f"; {n}" for n in self.notes)
         )
 
 
@@ -191,8 +197,8 @@ def free_fall(motion: Motion, position: np.ndarray) -> float | None:
     """Downward acceleration in m/s^2 of the centre of mass in flight; None without flight.
 
     Flight is where both feet are clearly above their lowest place and both move (a foot that
-    stands on a box is above the floor, but does not); a parabola is fitted to each flight and
-    the median is taken.
+    stands on a box is above the floor, but does not), and where the centre of mass rises and
+    falls along a parabola. The median over the flights is taken, if they agree.
     """
     feet = _feet(position)
     clear = (feet[..., 2] - np.percentile(feet[..., 2], 2, axis=0) > CLEAR_M).all(axis=(1, 2))
@@ -205,9 +211,18 @@ def free_fall(motion: Motion, position: np.ndarray) -> float | None:
             continue
         if np.ptp(feet[start:end], axis=0).max(axis=(1, 2)).min() < CLEAR_M:
             continue
-        curve = np.polyfit(np.arange(frames) / motion.fps, height[start:end], 2)
-        measured.append(-2.0 * curve[0])
-    return float(np.median(measured)) if measured else None
+        times = np.arange(frames) / motion.fps
+        curve = np.polyfit(times, height[start:end], 2)
+        summit = -curve[1] / (2.0 * curve[0]) if curve[0] else -1.0
+        misfit = np.sqrt(np.mean((np.polyval(curve, times) - height[start:end]) ** 2))
+        rise = np.ptp(height[start:end])
+        if 0.0 < summit < times[-1] and rise > MIN_RISE_M and misfit < MAX_MISFIT * rise:
+            measured.append(-2.0 * curve[0])
+    if len(measured) < MIN_FLIGHTS or np.ptp(measured) > MAX_DISAGREEMENT * abs(
+        np.median(measured)
+    ):
+        return None
+    return float(np.median(measured))
 
 
 def _feet(position: np.ndarray) -> np.ndarray:

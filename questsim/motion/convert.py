@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from questsim import rotations as rot
 from questsim.errors import InputError
-from questsim.motion.bvh import Recording
 from questsim.motion.families import Family
 from questsim.motion.motion import Motion
+from questsim.motion.recording import Recording
 from questsim.skeleton import JOINT_PARENTS, JOINTS, NUM_JOINTS
 
 DOWN = np.array([0.0, 0.0, -1.0])

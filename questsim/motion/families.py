@@ -164,7 +164,43 @@ SMPL_LOWER = Family(
     units=None,
 )
 
-FAMILIES: tuple[Family, ...] = (BANDAI_NAMCO, LAFAN1, CMU, SMPL, SMPL_LOWER)
+# The rest pose has the world's axes everywhere and splays the legs as CMU's BVH files do. Their
+# hands begin where the wrist's bone does.
+ASF_AMC = Family(
+    name="ASF/AMC",
+    joints=_sides(
+        {
+            "root": "root", "spine1": "lowerback", "spine2": "upperback", "spine3": "thorax",
+            "neck": "lowerneck", "head": "head",
+            "left_hip": "{}femur", "left_knee": "{}tibia", "left_ankle": "{}foot",
+            "left_toe": "{}toes", "left_clavicle": "{}clavicle", "left_shoulder": "{}humerus",
+            "left_elbow": "{}radius", "left_wrist": "{}wrist",
+        },
+        "l", "r",
+    ),
+    units=None,
+    feet_follow_shins=True,
+)  # fmt: skip
+
+# In the zero pose the arms hang, x is forward and z right.
+DEEPMIMIC = Family(
+    name="DeepMimic",
+    joints=_sides(
+        {
+            "root": "root", "spine2": "chest", "neck": "neck", "head": "head_base",
+            "left_hip": "{}_hip", "left_knee": "{}_knee", "left_ankle": "{}_ankle",
+            "left_toe": "{}_ball", "left_shoulder": "{}_shoulder", "left_elbow": "{}_elbow",
+            "left_wrist": "{}_wrist",
+        },
+        "left", "right",
+    ),
+    zero_axes="x -z y",
+    units="m",
+)  # fmt: skip
+
+FAMILIES: tuple[Family, ...] = (
+    BANDAI_NAMCO, LAFAN1, CMU, SMPL, SMPL_LOWER, ASF_AMC, DEEPMIMIC
+)  # fmt: skip
 
 
 def recognise(names: Sequence[str], where: str | Path) -> Family:

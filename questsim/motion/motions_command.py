@@ -15,7 +15,8 @@ from questsim.errors import InputError
 from questsim.motion.clip import Clip
 from questsim.motion.datasets import DATASETS, fetch
 from questsim.motion.library import load_library, save_library
-from questsim.motion.reading import ReadOptions, motion_files
+from questsim.motion.reading import ReadOptions
+from questsim.motion.sources import KINDS, motion_files
 from questsim.motion.spec import Retargeted, load_motions, read_many, split_libraries
 
 MAX_REPORTS = 20
@@ -26,7 +27,7 @@ class ImportArgs:
     """Read motion files, check them, retarget them to the avatar, write a library."""
 
     paths: tyro.conf.Positional[tuple[str, ...]]
-    """BVH or AMASS .npz files, libraries, or folders of these."""
+    """BVH, ASF/AMC, DeepMimic or AMASS .npz files, libraries, or folders or zips of these."""
     out: str
     """The library to write, LIBRARY.npz."""
     units: Literal["m", "cm", "mm", "inch", "cmu"] | None = None
@@ -85,7 +86,7 @@ def import_motions(args: ImportArgs) -> None:
         args.licence, args.accept,
     )  # fmt: skip
     if not args.paths:
-        raise InputError("no files given", fix="name BVH or npz files, or folders of them")
+        raise InputError("no files given", fix=f"name {KINDS}, or folders or zips of them")
     files = [file for path in args.paths for file in motion_files(path)]
     files = [file for file in files if file.resolve() != out.resolve()]
     raw, libraries = split_libraries(files)

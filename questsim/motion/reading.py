@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,8 +10,10 @@ import numpy as np
 
 from questsim.errors import InputError
 from questsim.motion.amass import is_amass, read_amass
-from questsim.motion.bvh import Recording, read_bvh
+from questsim.motion.asf_amc import read_asf_amc
+from questsim.motion.bvh import read_bvh
 from questsim.motion.checks import (
+    FLOOR_TOLERANCE_M,
     MAX_STATURE_M,
     MIN_STATURE_M,
     MIN_UPRIGHT,
@@ -23,11 +24,13 @@ from questsim.motion.checks import (
     upright_share,
 )
 from questsim.motion.convert import axis_vector, global_pose, to_motion
+from questsim.motion.deepmimic import read_deepmimic
 from questsim.motion.families import SMPL, UNITS, UP_AXES, Family, load_mapping, recognise
 from questsim.motion.motion import Motion
+from questsim.motion.recording import Recording
+from questsim.motion.sources import TEXT_SUFFIXES
 from questsim.skeleton import JOINTS
 
-SUFFIXES = (".bvh", ".npz")
 _CLIP_NAME = re.compile(r"dataset-\d+_(?P<kind>[a-z-]+)_(?P<style>[a-z-]+)_\d+")
 
 
@@ -67,7 +70,7 @@ class ReadOptions:
 def read_motion(
     path: str | Path, options: ReadOptions | None = None, family: Family | None = None
 ) -> tuple[Motion, Report]:
-    """Reads and checks a BVH or AMASS file.
+    """Reads and checks a BVH, AMC, DeepMimic or AMASS file.
 
     Args:
         path: the file.
@@ -82,33 +85,23 @@ def read_motion(
     if path.suffix.lower() == ".npz":
         motion, report = _read_amass(path, options)
     else:
-        motion, report = _read_bvh(path, options, family)
+        recording = _recording(path, options)
+        motion, report = _on_own_skeleton(recording, options, family)
+        report = replace(report, notes=(*recording.notes, *report.notes))
+    motion, report = _on_floor(motion, report)
     if not options.accept:
         refuse(report, str(path))
     return motion, report
 
 
-def motion_files(path: str | Path) -> list[Path]:
-    """A file itself, or the BVH and npz files in a folder and below, sorted.
-
-    Raises:
-        InputError: there is no such file, or none of these in the folder.
-    """
-    path = Path(path)
-    if not path.exists():
-        raise InputError("no such file or folder", path)
-    if path.is_file():
-        if path.suffix.lower() not in SUFFIXES:
-            raise InputError(f"is not one of {', '.join(SUFFIXES)}", path, "give a motion file")
-        return [path]
-    found = sorted(p for p in _walk(path) if p.suffix.lower() in SUFFIXES)
-    if not found:
-        raise InputError("no .bvh or .npz file in this folder", path)
-    return found
-
-
-def _walk(folder: Path) -> Iterator[Path]:
-    return (p for p in folder.rglob("*") if p.is_file() and not p.name.startswith("."))
+def _on_floor(motion: Motion, report: Report) -> tuple[Motion, Report]:
+    """Puts a motion whose floor is far from 0 on it, as of files with the hips at the origin."""
+    if abs(report.foot_height_m) <= FLOOR_TOLERANCE_M:
+        return motion, report
+    down = np.array([0.0, 0.0, report.foot_height_m])
+    motion = replace(motion, root_position=motion.root_position - down)
+    note = f"moved by {-report.foot_height_m:+.2f} m onto the floor"
+    return motion, replace(check(motion, report.units, report.up), notes=(*report.notes, note))
 
 
 def _read_amass(path: Path, options: ReadOptions) -> tuple[Motion, Report]:
@@ -123,10 +116,19 @@ def _read_amass(path: Path, options: ReadOptions) -> tuple[Motion, Report]:
     return motion, check(motion, units, up)
 
 
-def _read_bvh(path: Path, options: ReadOptions, family: Family | None) -> tuple[Motion, Report]:
-    recording = read_bvh(path)
-    if options.fps:
-        recording = replace(recording, fps=options.fps)
+def _recording(path: Path, options: ReadOptions) -> Recording:
+    """The file by its ending; text that is not BVH or AMC is DeepMimic's."""
+    suffix = path.suffix.lower()
+    if suffix in TEXT_SUFFIXES:
+        return read_deepmimic(path, options.fps)
+    recording = read_asf_amc(path, options.fps) if suffix == ".amc" else read_bvh(path)
+    return replace(recording, fps=options.fps) if options.fps else recording
+
+
+def _on_own_skeleton(
+    recording: Recording, options: ReadOptions, family: Family | None
+) -> tuple[Motion, Report]:
+    path = recording.path
     if family is None:
         family = load_mapping(options.mapping) if options.mapping else None
     family = family or recognise(recording.names, path)

@@ -22,7 +22,8 @@ from questsim.motion import datasets
 from questsim.motion.clip import Clip
 from questsim.motion.library import VERSION, Library, is_library, load_library, save_library
 from questsim.motion.motion import Motion
-from questsim.motion.reading import ReadOptions, motion_files, read_motion
+from questsim.motion.reading import ReadOptions, read_motion
+from questsim.motion.sources import content_digest, motion_files
 
 SYNTHETIC = "synthetic"
 MANY = 64
@@ -166,7 +167,7 @@ def _load(part: str, clips: bool) -> Library:
         out.motions.extend(loaded.motions)
         out.clips.extend(loaded.clips)
     if raw:
-        digests = [f"{file.stem} {datasets.file_digest(file)}" for file in raw]
+        digests = [f"{file.stem} {content_digest(file)}" for file in raw]
         loaded = _cached(digests, lambda: raw, ReadOptions(), clips)
         out.motions.extend(loaded.motions)
         out.clips.extend(loaded.clips)
@@ -220,8 +221,8 @@ def _alone(path: Path) -> FileLock:
 def _code_digest() -> str:
     """Digest of the code and the body that clips depend on: they outdate the cache."""
     here = Path(__file__).parent
-    names = "bvh amass families convert reading checks motion clip retarget limbs kinematics"
-    sources = [here / f"{name}.py" for name in names.split()]
+    others = ("commands", "datasets", "inverse_dynamics", "library", "spec")
+    sources = sorted(path for path in here.glob("*.py") if path.stem not in others)
     sources += [Path(str(module.__file__)) for module in (rotations, skeleton)]
     sources += [here.parent / "body.py", mjcf_path("humanoid.xml")]
     digest = hashlib.sha256(str(VERSION).encode())
