@@ -43,7 +43,9 @@ Source: Winter 2009, table 4.1 (after Dempster 1955); forearm and hand are one s
 FLOOR_TOLERANCE_M = 0.5
 CLEAR_M = 0.04
 MIN_FLIGHT_FRAMES, MAX_FLIGHT_S = 4, 1.5
-MIN_FLIGHTS = 2
+STANDING_SPEED = 0.4
+"""m/s; a foot slower than this for half of a flight stands on something."""
+MIN_FLIGHTS = 3
 MIN_RISE_M, MAX_MISFIT, MAX_DISAGREEMENT = 0.01, 0.1, 1.0
 """Of a flight: rise of the centre of mass, its distance from a parabola as a share of the rise,
 and how far flights may differ as a share of their median."""
@@ -149,7 +151,10 @@ def _problems(motion: Motion, position: np.ndarray, report: Report) -> list[str]
             f"second: the true frame rate may be about {true:.0f}"
         )
     if len(motion) > 1:
-        speed = np.linalg.norm(np.diff(position[:, 0], axis=0), axis=-1) * motion.fps
+        # Over 0.05 s, so that one noisy frame at a high rate is no reason to refuse a file.
+        over = min(max(1, int(0.05 * motion.fps)), len(motion) - 1)
+        moved = position[over:, 0] - position[:-over, 0]
+        speed = np.linalg.norm(moved, axis=-1) * motion.fps / over
         if speed.max() > MAX_ROOT_SPEED:
             out.append(
                 f"the root moves at {speed.max():.0f} m/s at frame {int(speed.argmax())}, "
@@ -210,6 +215,9 @@ def free_fall(motion: Motion, position: np.ndarray) -> float | None:
         if frames < MIN_FLIGHT_FRAMES or frames / motion.fps > MAX_FLIGHT_S:
             continue
         if np.ptp(feet[start:end], axis=0).max(axis=(1, 2)).min() < CLEAR_M:
+            continue
+        speed = np.linalg.norm(np.diff(feet[start:end], axis=0), axis=-1) * motion.fps
+        if np.median(speed.max(axis=2), axis=0).min() < STANDING_SPEED:
             continue
         times = np.arange(frames) / motion.fps
         curve = np.polyfit(times, height[start:end], 2)
