@@ -28,7 +28,10 @@ def test_local_links_lead_somewhere(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_source_files_that_are_named_exist(page):
-    names = re.findall(r"`((?:questsim|envs|agents|tests|assets)/[\w./]*)`", page.read_text())
+    text = page.read_text()
+    if page.name == "CHANGELOG.md":  # a release keeps the names that it had
+        text = text.partition("\n## [0.")[0]
+    names = re.findall(r"`((?:questsim|envs|agents|tests|assets)/[\w./]*)`", text)
     assert not [name for name in names if not (ROOT / name).exists()]
 
 
