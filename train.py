@@ -8,7 +8,7 @@ import sys
 # Threads that spin while they wait for work starve the physics threads next to them.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
-from agents.training.train import TrainArgs, train
+from agents.training.train_policy import TrainArgs, train
 from questsim.cli import run
 
 if __name__ == "__main__":

@@ -1,8 +1,27 @@
 """Policies, their training and their evaluation.
 
 ``load_agent`` gives an agent by name or path; ``Tracker`` is the teacher as a full-body tracker.
+Public names are imported when they are first used, so that a submodule is imported alone.
 """
 
-from agents.agent import Agent, PolicyAgent, Tracker, load_agent
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
+if TYPE_CHECKING:
+    from agents.agent import Agent
+    from agents.loading import load_agent
+    from agents.policy.policy_agent import PolicyAgent, Tracker
+
+_HOMES = {
+    "Agent": "agents.agent",
+    "PolicyAgent": "agents.policy.policy_agent",
+    "Tracker": "agents.policy.policy_agent",
+    "load_agent": "agents.loading",
+}
 __all__ = ["Agent", "PolicyAgent", "Tracker", "load_agent"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)

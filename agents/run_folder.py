@@ -165,10 +165,10 @@ def check_same_run(
     Raises:
         InputError: naming the option that differs.
     """
-    unsaid = plain({option.name: default_of(option) for option in fields(args)})
+    defaults = plain({option.name: default_of(option) for option in fields(args)})
     for name, value in plain(args).items():
         # Records from before there was an option lack it.
-        before = record["args"].get(name, unsaid[name])
+        before = record["args"].get(name, defaults[name])
         if name not in may_differ and value != before:
             option = "--" + name.replace("_", "-")
             raise InputError(f"{option} was {before}, not {value}", out / RECORD, "use it again")

@@ -29,7 +29,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from agents.live.commands import DemoArgs, demo_session, watch
+from agents.live.demo import DemoArgs, demo_session, watch
 from agents.live.session import DemoSession
 from benchmarks.common import arguments, report
 from questsim.cli import guarded

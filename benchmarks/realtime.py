@@ -17,8 +17,10 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from agents.agent import Agent, Needs, PolicyAgent, load_agent, new_policy
+from agents.agent import Agent, Needs
+from agents.loading import load_agent
 from agents.policy.networks import CLIP, MIN_STD
+from agents.policy.policy_agent import PolicyAgent, new_policy
 from agents.policy.spec import Layout, initial_gains
 from agents.training.presets import PRESETS
 from benchmarks.common import arguments, clips, report

@@ -33,11 +33,11 @@ class Command(NamedTuple):
 
 COMMANDS: dict[str, Command] = {
     "demo": Command(
-        "agents.live.commands", "demo", "DemoArgs",
+        "agents.live.demo", "demo", "DemoArgs",
         "watch a policy follow a user: a page for the browser",
     ),
     "play": Command(
-        "agents.live.commands", "play", "PlayArgs",
+        "agents.live.demo", "play", "PlayArgs",
         "watch a training's newest policy, while it learns",
     ),
     "motions import": Command(
@@ -57,7 +57,7 @@ COMMANDS: dict[str, Command] = {
         "draw a clip: a contact sheet and a video",
     ),
     "train": Command(
-        "agents.training.train", "train", "TrainArgs",
+        "agents.training.train_policy", "train", "TrainArgs",
         "train an agent, or go on with an earlier training",
     ),
     "evaluate": Command(
@@ -65,7 +65,7 @@ COMMANDS: dict[str, Command] = {
         "let an agent follow clips and score it",
     ),
     "estimate": Command(
-        "agents.kinematic.estimate", "estimate", "EstimateArgs",
+        "agents.comparison.estimate", "estimate", "EstimateArgs",
         "write a library of what a kinematic system makes of motions",
     ),
     "envs": Command(

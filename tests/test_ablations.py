@@ -24,7 +24,7 @@ from agents.kinematic.skeletal import MaskedConv, MaskedLinear, PlainMixing
 from agents.kinematic.store import find_system, load_module, read_system_card, save_system
 from agents.kinematic.switches import switches
 from agents.overrides import with_overrides
-from agents.training.train import TrainArgs, train
+from agents.training.train_policy import TrainArgs, train
 from questsim.cli import main
 from questsim.errors import InputError
 from questsim.joint_sensors import readings

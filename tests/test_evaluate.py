@@ -10,11 +10,14 @@ import pytest
 import torch
 from helpers import swaying_clip
 
-from agents.agent import Needs, PolicyAgent, RandomAgent, ZeroAgent, load_agent, new_policy
+from agents.agent import Needs, RandomAgent, ZeroAgent
 from agents.evaluation import evaluate as evaluation
-from agents.evaluation.evaluate import EvaluateArgs, env_config, evaluate, roll_out
+from agents.evaluation.evaluate import EvaluateArgs, evaluate
 from agents.evaluation.follow import evaluation_sim, follow
+from agents.evaluation.rollout import env_config, roll_out
+from agents.loading import load_agent
 from agents.policy.checkpoint import save_policy
+from agents.policy.policy_agent import PolicyAgent, new_policy
 from agents.policy.spec import Layout, PolicySpec
 from envs.config import EnvConfig
 from envs.layout import observation_layout

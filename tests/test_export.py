@@ -13,11 +13,12 @@ import pytest
 import torch
 from helpers import swaying_clip
 
-from agents.agent import Needs, PolicyAgent, new_policy
+from agents.agent import Needs
 from agents.policy import export as export_module
 from agents.policy.checkpoint import save_policy
 from agents.policy.export import ExportArgs, export, metadata
 from agents.policy.observation_module import SparseObservation, heading
+from agents.policy.policy_agent import PolicyAgent, new_policy
 from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
 from envs.config import EnvConfig
 from envs.core import BatchSim

@@ -26,7 +26,7 @@ from agents.shipping.ship import ShipArgs, ship
 from agents.shipping.system_card import system_provenance
 from agents.training.monitor import Display
 from agents.training.stage import Budget, Stopper
-from agents.training.train import TrainArgs, train
+from agents.training.train_policy import TrainArgs, train
 from questsim.errors import InputError
 from questsim.joint_sensors import readings
 from questsim.motion.library import save_library

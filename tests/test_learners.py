@@ -9,7 +9,8 @@ from fake_env import FakeVecEnv
 from gymnasium import spaces
 from learners import nothing, small_ppo
 
-from agents.agent import Needs, PolicyAgent, new_policy
+from agents.agent import Needs
+from agents.policy.policy_agent import PolicyAgent, new_policy
 from agents.policy.spec import SPARSE_BLOCKS, Layout, PolicySpec
 from agents.training.buffers import TensorRolloutBuffer
 from agents.training.dagger import Dagger, DaggerConfig, Memory

@@ -12,15 +12,17 @@ import torch
 from helpers import swaying_clip
 from PIL import Image
 
-from agents.agent import Needs, ZeroAgent, load_agent, new_policy
-from agents.live.commands import DemoArgs, PlayArgs, _clips, demo, drivers_beside, play
+from agents.agent import Needs, ZeroAgent
+from agents.live.demo import DemoArgs, PlayArgs, _clips, demo, drivers_beside, play
 from agents.live.drivers import TorqueDriver
 from agents.live.recording import record
 from agents.live.runner import Runner
 from agents.live.session import AFTER_FALL_S, DemoSession
 from agents.live.users import Recordings
 from agents.live.watcher import Watcher, load_checkpoint, newest_checkpoint
+from agents.loading import load_agent
 from agents.policy.checkpoint import CARD_FILE, WEIGHTS_FILE, save_policy
+from agents.policy.policy_agent import new_policy
 from agents.policy.spec import Layout, PolicySpec
 from envs.config import EnvConfig
 from envs.layout import observation_layout

@@ -20,8 +20,8 @@ from agents.kinematic.recurrent.poser import RecurrentModule
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import CARD_FILE, load_system, save_system
 from agents.live import watcher
-from agents.live.commands import available_drivers
-from agents.live.drivers import load_driver
+from agents.live.demo import available_drivers
+from agents.live.load_driver import load_driver
 from agents.live.poses import PoseDriver, PoseStream
 from agents.live.recording import record
 from agents.live.session import DemoSession
@@ -251,7 +251,7 @@ def test_a_film_of_poses_has_no_pushes():
 
 def test_systems_are_listed_beside_policies_and_loaded_when_they_are_chosen():
     code = (
-        "import sys; from agents.live.commands import available_drivers;"
+        "import sys; from agents.live.demo import available_drivers;"
         "names = list(available_drivers(lambda name: None));"
         "assert {'hmdposer', 'lgsik', 'sparseposer', 'dragposer', 'ik', 'ik+physics'} <= {*names};"
         "sys.exit('agents.kinematic' in sys.modules)"

@@ -13,13 +13,14 @@ import yaml
 from helpers import swaying_clip
 from test_terrain import gliding_clip
 
-from agents.agent import PolicyAgent, load_agent
 from agents.evaluation.evaluate import EvaluateArgs, evaluate
+from agents.loading import load_agent
 from agents.policy.checkpoint import load_resume
+from agents.policy.policy_agent import PolicyAgent
 from agents.shipping.provenance import commands, options_of, stages_behind
 from agents.shipping.ship import ShipArgs, ship
 from agents.training import train as training
-from agents.training.train import TrainArgs, train
+from agents.training.train_policy import TrainArgs, train
 from envs import BatchSim, EnvConfig, Pushes, Randomisation, Terrain
 from envs.objects import WorldObject
 from envs.placement import Placement

@@ -18,11 +18,13 @@ import websockets
 from helpers import swaying_clip
 from PIL import Image
 
-from agents.agent import RandomAgent, ZeroAgent, load_agent
-from agents.live.commands import watch
-from agents.live.drivers import TorqueDriver, load_driver
+from agents.agent import RandomAgent, ZeroAgent
+from agents.live.demo import watch
+from agents.live.drivers import TorqueDriver
+from agents.live.load_driver import load_driver
 from agents.live.session import DemoSession
 from agents.live.users import Recordings
+from agents.loading import load_agent
 from benchmarks.page import viewers
 from questsim.errors import InputError
 from questsim.viewing.live import Settings

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agents.agent import load_agent
-from agents.evaluation.evaluate import EvaluateArgs, env_config, evaluate
+from agents.evaluation.evaluate import EvaluateArgs, evaluate
 from agents.evaluation.follow import evaluation_sim
+from agents.evaluation.rollout import env_config
 from agents.kinematic.interface import Poses
 from agents.kinematic.physics_behind import (
     BEGINNING_FRAMES,
@@ -21,6 +21,7 @@ from agents.kinematic.physics_behind import (
     reference_of,
     rollout_samples,
 )
+from agents.loading import load_agent
 from agents.shipping.catalogue import catalogue
 from questsim.errors import InputError
 from questsim.motion.kinematics import clip_from_qpos

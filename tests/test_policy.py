@@ -10,9 +10,11 @@ import torch
 import yaml
 from fake_env import FakeVecEnv
 
-from agents.agent import Needs, PolicyAgent, Tracker, load_agent, new_policy
+from agents.agent import Needs
+from agents.loading import load_agent
 from agents.policy.checkpoint import load_policy, load_resume, pack, save_policy, unpack
 from agents.policy.networks import RunningNorm, TorquePolicy
+from agents.policy.policy_agent import PolicyAgent, Tracker, new_policy
 from agents.policy.spec import (
     TRACKER_BLOCKS,
     Layout,

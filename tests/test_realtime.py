@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from agents.agent import PolicyAgent, new_policy
+from agents.policy.policy_agent import PolicyAgent, new_policy
 from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
 from benchmarks.realtime import measure, numpy_forward, untrained
 from envs.config import EnvConfig

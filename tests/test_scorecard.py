@@ -8,11 +8,12 @@ import pytest
 import torch
 from helpers import swaying_clip
 
-from agents.agent import Needs, new_policy
+from agents.agent import Needs
 from agents.evaluation.evaluate import EvaluateArgs, evaluate
 from agents.evaluation.scorecard import BARS, TRIALS, Bar, figure, format_scorecard, scorecard
 from agents.policy import checkpoint
 from agents.policy.checkpoint import save_policy
+from agents.policy.policy_agent import new_policy
 from agents.policy.spec import SPARSE_BLOCKS, Layout, PolicySpec
 from envs.config import EnvConfig
 from envs.layout import observation_layout

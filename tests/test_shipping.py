@@ -11,18 +11,19 @@ import torch
 import yaml
 from rollouts import moving_clip, rollout
 
-from agents.agent import Needs, PolicyAgent, Tracker, new_policy
+from agents.agent import Needs
 from agents.kinematic.store import load_system, read_system_card
+from agents.licence import licence_of, strictest
 from agents.policy import checkpoint
 from agents.policy.checkpoint import CARD_FILE, CRITIC_FILE, load_policy, save_policy
+from agents.policy.policy_agent import PolicyAgent, Tracker, new_policy
 from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
 from agents.run_folder import start_run
 from agents.shipping import ship as shipping
-from agents.shipping.licence import licence_of, strictest
 from agents.shipping.provenance import StagePart, _joined
 from agents.shipping.ship import ShipArgs, check_name, ship
 from agents.training.presets import PRESETS
-from agents.training.train import TrainArgs
+from agents.training.train_policy import TrainArgs
 from envs.config import EnvConfig
 from envs.layout import observation_layout
 from questsim import cli
@@ -98,7 +99,7 @@ def test_best_policy_is_copied_and_loads_by_name(run, tmp_path, monkeypatch):
         "README.md", "policy.safetensors", "policy.yaml",
     }  # fmt: skip
     monkeypatch.setattr("agents.policy.checkpoint.SHIPPED", shipped)
-    from agents.agent import load_agent
+    from agents.loading import load_agent
 
     agent, trained = load_agent("walker"), load_policy(run / "student" / "best")
     assert isinstance(agent, PolicyAgent)

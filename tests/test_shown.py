@@ -11,12 +11,13 @@ import torch
 import yaml
 from helpers import swaying_clip
 
-from agents.agent import Tracker, load_agent
+from agents.loading import load_agent
+from agents.policy.policy_agent import Tracker
 from agents.shipping.provenance import commands, stages_behind
 from agents.training import train as training
 from agents.training.dagger import Dagger
 from agents.training.ppo import AdaptivePPO
-from agents.training.train import TrainArgs, train
+from agents.training.train_policy import TrainArgs, train
 from envs import BatchSim, EnvConfig, QuestVecEnv, Terrain
 from questsim.errors import InputError
 from questsim.motion.clip import Clip

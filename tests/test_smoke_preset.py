@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-from agents.agent import load_agent
-from agents.evaluation.evaluate import env_config
 from agents.evaluation.follow import choose_clips, evaluation_sim, follow
-from agents.training.train import TrainArgs, train
+from agents.evaluation.rollout import env_config
+from agents.loading import load_agent
+from agents.training.train_policy import TrainArgs, train
 from questsim.motion.spec import load_motions
 
 

@@ -14,9 +14,11 @@ from fake_env import FakeVecEnv
 from helpers import swaying_clip
 from learners import nothing, small_ppo
 
-from agents.agent import Needs, PolicyAgent, load_agent
+from agents.agent import Needs
 from agents.evaluation.follow import Followed, choose_clips
+from agents.loading import load_agent
 from agents.policy.checkpoint import CRITIC_FILE, load_resume
+from agents.policy.policy_agent import PolicyAgent
 from agents.policy.spec import SPARSE_BLOCKS, PolicySpec
 from agents.shipping.provenance import stages_behind
 from agents.training import train as training
@@ -24,7 +26,7 @@ from agents.training.learner import TrainingError
 from agents.training.monitor import Display, evaluation_figures
 from agents.training.presets import PRESETS, PPOConfig
 from agents.training.stage import Budget, Stage, Stopper
-from agents.training.train import TrainArgs, split_validation, train
+from agents.training.train_policy import TrainArgs, split_validation, train
 from questsim.errors import InputError
 
 

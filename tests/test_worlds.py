@@ -14,10 +14,11 @@ from test_terrain import gliding_clip
 
 from agents.agent import ZeroAgent
 from agents.evaluation import worlds
-from agents.evaluation.evaluate import EvaluateArgs, env_config, evaluate, roll_out
+from agents.evaluation.evaluate import EvaluateArgs, evaluate
 from agents.evaluation.follow import evaluation_sim
+from agents.evaluation.rollout import env_config, roll_out
 from agents.evaluation.worlds import WORLDS, format_worlds, group_of, run_worlds
-from agents.training.train import TrainArgs, _outcome, train
+from agents.training.train_policy import TrainArgs, _outcome, train
 from envs.terrain import TERRAINS, Terrain, height_field
 from questsim.cli import main
 from questsim.errors import InputError
@@ -192,7 +193,7 @@ def test_environments_are_listed_and_described(capsys) -> None:
 def test_a_policy_is_trained_further_on_a_terrain(library, tmp_path, monkeypatch) -> None:
     made = []
     monkeypatch.setattr(
-        "agents.training.train.evaluation_sim",
+        "agents.training.train_policy.evaluation_sim",
         lambda clips, config, *rest, **others: (
             made.append(config) or evaluation_sim(clips, config, *rest, **others)
         ),

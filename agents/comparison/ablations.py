@@ -27,7 +27,7 @@ from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import CARD_FILE, load_system, read_system_card
 from agents.overrides import with_overrides
 from agents.run_folder import RECORD, check_same_run, read_run, refuse_existing, start_run, versions
-from agents.training.train import TrainArgs, train
+from agents.training.train_policy import TrainArgs, train
 from questsim.errors import InputError, at_least
 from questsim.files import whole_file
 from questsim.motion.motion import Motion

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from agents.agent import load_agent
 from agents.comparison.plots import plot_accuracy, plot_plausibility
 from agents.comparison.report import COSTS, TABLES, table, write
 from agents.comparison.run import (
@@ -29,6 +28,7 @@ from agents.kinematic.data import motions_record
 from agents.kinematic.physics_behind import base_of
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import UNTRAINED, find_system, read_system_card
+from agents.loading import load_agent
 from agents.names import PHYSICS, shipped_policies
 from agents.policy.checkpoint import find_policy, read_card
 from agents.run_folder import versions

@@ -16,11 +16,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from agents.agent import load_agent
 from agents.comparison.plots import KINDS
 from agents.comparison.run import is_policy, reconstructed, suiting
 from agents.comparison.scenarios import Scenario
-from agents.evaluation.evaluate import env_config, roll_out
+from agents.evaluation.rollout import env_config, roll_out
 from agents.kinematic.interface import Poses
 from agents.kinematic.physics_behind import (
     base_of,
@@ -29,6 +28,7 @@ from agents.kinematic.physics_behind import (
     performed,
     reference_of,
 )
+from agents.loading import load_agent
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.files import whole_file
 from questsim.joint_sensors import SENSOR_FPS

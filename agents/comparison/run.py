@@ -14,10 +14,9 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 import torch
 
-from agents.agent import load_agent
 from agents.comparison.report import RECORDING, Row, row_of
 from agents.comparison.scenarios import RECURRENT_SETS, WINDOW, Scenario, faulty, scenarios
-from agents.evaluation.evaluate import env_config, roll_out
+from agents.evaluation.rollout import env_config, roll_out
 from agents.kinematic.efficiency import mmac_a_frame, stream_kib
 from agents.kinematic.interface import KinematicSystem, Poses, UserBody
 from agents.kinematic.physics_behind import (
@@ -30,6 +29,7 @@ from agents.kinematic.physics_behind import (
 )
 from agents.kinematic.recurrent.poser import RecurrentPoser
 from agents.kinematic.store import UNTRAINED, find_system, load_system
+from agents.loading import load_agent
 from agents.policy.checkpoint import find_policy, load_policy
 from questsim.errors import InputError
 from questsim.joint_sensors import SensorSequence, readings

@@ -39,7 +39,7 @@ class Scenario:
     Attributes:
         name: for the table.
         devices: of the sensors.
-        faults: chance a frame that one device falls silent.
+        faults: probability a frame that one device falls silent.
         options: of the system.
         online: every frame from the last ``WINDOW`` frames alone.
     """
@@ -106,14 +106,14 @@ def scenarios(system: KinematicSystem) -> tuple[Scenario, ...]:
     return (Scenario("6", SENSOR_SETS["6T"]),)
 
 
-def faulty(sequence: SensorSequence, chance: float, seed: int) -> SensorSequence:
-    """Each frame one device falls silent with that chance, and returns after 100 frames.
+def faulty(sequence: SensorSequence, probability: float, seed: int) -> SensorSequence:
+    """Each frame one device falls silent with that probability, and returns after 100 frames.
 
     Source: DragPoser's faulty trackers. Never all of them: the first that is asked stays.
     """
     rng, present = np.random.default_rng(seed), sequence.present.copy()
     for frame in range(1, len(sequence)):
-        if rng.random() < chance:
+        if rng.random() < probability:
             device = int(rng.integers(present.shape[1]))
             if present[frame].sum() > 1:
                 present[frame : frame + SILENT_FRAMES, device] = False

@@ -8,9 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from agents.evaluation.evaluate import EvaluateArgs, evaluate
+    from agents.evaluation.rollout import Recorder, env_config, roll_out
 
-_HOMES = {"EvaluateArgs": "agents.evaluation.evaluate", "evaluate": "agents.evaluation.evaluate"}
-__all__ = ["EvaluateArgs", "evaluate"]
+_HOMES = {
+    "EvaluateArgs": "agents.evaluation.evaluate",
+    "evaluate": "agents.evaluation.evaluate",
+    "Recorder": "agents.evaluation.rollout",
+    "env_config": "agents.evaluation.rollout",
+    "roll_out": "agents.evaluation.rollout",
+}
+__all__ = ["EvaluateArgs", "Recorder", "env_config", "evaluate", "roll_out"]
 
 
 def __getattr__(name: str) -> Any:

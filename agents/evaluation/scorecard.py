@@ -12,9 +12,10 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from agents.agent import load_agent
-from agents.evaluation.evaluate import env_config, evaluation_context, roll_out
+from agents.evaluation.evaluate import evaluation_context
 from agents.evaluation.follow import choose_clips
+from agents.evaluation.rollout import env_config, roll_out
+from agents.loading import load_agent
 from questsim.evaluation_report import LABELS, write_report
 from questsim.files import whole_file
 

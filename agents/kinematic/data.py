@@ -72,7 +72,7 @@ class MotionBank:
         frames = np.array([len(m) for m in kept])
         self.first = np.cumsum(frames) - frames
         self.starts = frames - length + 1
-        self._random = self.starts / self.starts.sum()
+        self._probability = self.starts / self.starts.sum()
 
     @property
     def template(self) -> np.ndarray:
@@ -87,7 +87,7 @@ class MotionBank:
             rng: draws everything.
             vary: whether most people get other proportions; else all are as recorded.
         """
-        clip = rng.choice(len(self.first), size=count, p=self._random)
+        clip = rng.choice(len(self.first), size=count, p=self._probability)
         start = self.first[clip] + (rng.random(count) * self.starts[clip]).astype(np.int64)
         rows = start[:, None] + np.arange(self.length)
         offsets = self.offsets[clip]

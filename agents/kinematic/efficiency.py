@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from agents.kinematic.few_rows import pytorch_alone
 from agents.kinematic.interface import KinematicSystem, UserBody
+from agents.kinematic.small_batch import pytorch_alone
 from questsim.joint_sensors import SensorSequence
 
 WARM_UP_FRAMES = 8

@@ -17,9 +17,9 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from agents.agent import load_agent
-from agents.evaluation.evaluate import env_config, roll_out
+from agents.evaluation.rollout import env_config, roll_out
 from agents.kinematic.interface import Poses
+from agents.loading import load_agent
 from agents.names import PHYSICS
 from questsim.body import build_body
 from questsim.metrics import Rollout

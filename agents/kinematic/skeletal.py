@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from agents.kinematic.few_rows import linear
-from agents.kinematic.ready import Derives
+from agents.kinematic.derived_weights import DerivedWeights
+from agents.kinematic.small_batch import linear
 from questsim.skeleton import JOINT_PARENTS
 
 REACH = 2
@@ -126,7 +126,7 @@ def neighbour_mask(parents: Sequence[int], displacement: bool = False) -> Tensor
     return mask
 
 
-class _Masked(Derives):
+class _Masked(DerivedWeights):
     """A layer whose weight is masked."""
 
     weight: nn.Parameter

@@ -38,7 +38,7 @@ from questsim.errors import InputError, at_least
 from questsim.motion.motion import Motion
 
 if TYPE_CHECKING:
-    from agents.training.train import TrainArgs
+    from agents.training.train_policy import TrainArgs
 
 INTERRUPTED = 130
 MAY_DIFFER_ON_RESUME = {"minutes", "steps", "resume", "threads", "out", "set"}

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Protocol
 
-from agents.agent import Agent, Needs, PolicyAgent, load_agent
-from agents.names import shipped_policies
+from agents.agent import Agent, Needs
+from agents.policy.policy_agent import PolicyAgent
 from agents.policy.spec import Layout
 from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.layout import observation_layout
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
-from questsim.motion.motion import Motion
 from questsim.sensors import DEVICES, SENSOR_SETS
 
 BASELINES = ("zero", "random")
@@ -121,29 +119,3 @@ class TorqueDriver:
     def advance(self, sim: BatchSim) -> None:
         """Act on what is observed now, for one step."""
         sim.step(self.agent.act(sim.observation))
-
-
-def load_driver(name: str, recording: Callable[[str], Motion]) -> Driver:
-    """What an agent's name, checkpoint folder or run folder means.
-
-    Args:
-        name: of a policy, a baseline or a kinematic system, perhaps with physics behind it.
-        recording: by a clip's name, its user's motion; asked for by kinematic systems alone.
-
-    Raises:
-        InputError: there is no such agent, or it cannot be used.
-    """
-    if name in BASELINES or name in shipped_policies():
-        return TorqueDriver(load_agent(name))
-    # Not at the top: all systems are imported with these, and the page is not to wait for them.
-    from agents.kinematic.physics_behind import TRACKER, base_of
-    from agents.kinematic.store import UNTRAINED, find_system, load_system
-    from agents.live.physics import PhysicsDriver
-    from agents.live.poses import PoseDriver
-
-    base = base_of(name)
-    if base is not None:
-        return PhysicsDriver(load_system(base), load_agent(TRACKER), recording)
-    if name in UNTRAINED or find_system(name) is not None:
-        return PoseDriver(load_system(name), recording)
-    return TorqueDriver(load_agent(name))

@@ -21,8 +21,9 @@ import yaml
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 
-from agents.agent import Needs, PolicyAgent, Tracker, new_policy
+from agents.agent import Needs
 from agents.policy.networks import ACTIVATIONS, TorquePolicy
+from agents.policy.policy_agent import PolicyAgent, Tracker, new_policy
 from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
 from questsim.errors import InputError
 from questsim.motion.clip import FPS

@@ -15,11 +15,13 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
-from agents.agent import Agent, PolicyAgent, load_agent
+from agents.agent import Agent
+from agents.licence import licence_of
+from agents.loading import load_agent
 from agents.policy.networks import TorquePolicy
 from agents.policy.observation_module import SparseObservation
+from agents.policy.policy_agent import PolicyAgent
 from agents.policy.spec import SPARSE_BLOCKS
-from agents.shipping.licence import licence_of
 from envs.config import EnvConfig
 from envs.layout import observation_layout
 from questsim import __version__

@@ -10,9 +10,9 @@ from agents.kinematic.ik import DEVICES as IK_DEVICES
 from agents.kinematic.physics_behind import TRACKER
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import CARD_FILE, read_system_card
+from agents.licence import OURS, licence_of, strictest
 from agents.names import PHYSICS, shipped_policies
 from agents.policy.checkpoint import SHIPPED, read_card
-from agents.shipping.licence import OURS, licence_of, strictest
 
 KEYS = ("agent", "preset", "title", "sensors", "parameters", "licence", "weights")
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agents.agent import PolicyAgent
-from agents.shipping.licence import NON_COMMERCIAL, OURS
+from agents.licence import NON_COMMERCIAL, OURS
+from agents.policy.policy_agent import PolicyAgent
 from questsim.errors import InputError
 from questsim.evaluation_report import LABELS
 from questsim.metrics import SCHEMA, SCHEMA_VERSION

@@ -9,10 +9,10 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
+from agents.licence import strictest
 from agents.policy.checkpoint import CARD_FILE, find_policy, find_teacher, read_card
 from agents.run_folder import RECORD, default_of, plain, read_run
-from agents.shipping.licence import strictest
-from agents.training.train import TrainArgs
+from agents.training.train_policy import TrainArgs
 from questsim.errors import InputError
 
 STAGES = ("teacher", "student", "finetune")

@@ -13,6 +13,7 @@ import yaml
 from agents.kinematic.store import CARD_FILE as SYSTEM_CARD
 from agents.kinematic.store import WEIGHTS_FILE as SYSTEM_WEIGHTS
 from agents.kinematic.store import find_system, read_system_card
+from agents.licence import UNKNOWN
 from agents.policy.checkpoint import (
     CARD_FILE,
     CRITIC_FILE,
@@ -21,7 +22,6 @@ from agents.policy.checkpoint import (
     find_policy,
     load_policy,
 )
-from agents.shipping.licence import UNKNOWN
 from agents.shipping.model_card import model_card, read_metrics
 from agents.shipping.provenance import portable, provenance
 from agents.shipping.system_card import comparison_lines, system_card, system_provenance

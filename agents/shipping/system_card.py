@@ -15,8 +15,8 @@ from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.physics_behind import base_of
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import CARD_FILE, find_system, load_system, read_system_card
+from agents.licence import strictest
 from agents.run_folder import read_run
-from agents.shipping.licence import strictest
 from agents.shipping.model_card import card_text, read_report, time_text
 from agents.shipping.provenance import options_of, run_of
 from questsim.errors import InputError

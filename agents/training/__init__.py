@@ -7,9 +7,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from agents.training.train import TrainArgs, train
+    from agents.training.train_policy import TrainArgs, train
 
-_HOMES = {"TrainArgs": "agents.training.train", "train": "agents.training.train"}
+_HOMES = {"TrainArgs": "agents.training.train_policy", "train": "agents.training.train_policy"}
 __all__ = ["TrainArgs", "train"]
 
 

@@ -11,8 +11,8 @@ import torch
 from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor, nn
 
-from agents.agent import PolicyAgent
 from agents.policy.networks import TorquePolicy
+from agents.policy.policy_agent import PolicyAgent
 from agents.training.learner import StepObserver, TrainingError
 from agents.training.workers import Workers
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from agents.agent import new_policy
 from agents.policy.checkpoint import find_policy, find_teacher, load_critic, load_policy
 from agents.policy.networks import TorquePolicy
+from agents.policy.policy_agent import new_policy
 from agents.policy.spec import Layout, initial_gains, noise_by_joint
 from agents.training.dagger import Dagger, DaggerConfig
 from agents.training.learner import Learner
@@ -21,7 +21,7 @@ from questsim.errors import InputError
 from questsim.skeleton import DOFS
 
 if TYPE_CHECKING:
-    from agents.training.train import TrainArgs
+    from agents.training.train_policy import TrainArgs
 
 
 def make_learner(

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from agents.agent import Needs, PolicyAgent
+from agents.agent import Needs
 from agents.evaluation.follow import Followed
 from agents.policy.checkpoint import load_resume, save_policy, unpack
+from agents.policy.policy_agent import PolicyAgent
 from agents.training.learner import Learner
 from agents.training.monitor import Display, Monitor, evaluation_figures
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from agents.agent import Needs
-from agents.evaluation.evaluate import env_config, roll_out
+from agents.evaluation import env_config, roll_out
 from questsim.evaluation_report import format_table
 from questsim.metrics import evaluate
 from questsim.motion.synthesis.synthetic import synthesise

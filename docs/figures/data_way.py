@@ -15,9 +15,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, Rectangle
 from matplotlib.transforms import Bbox
 
-from agents.agent import PolicyAgent, load_agent
 from agents.live.drivers import TorqueDriver
 from agents.live.session import DemoSession
+from agents.loading import load_agent
+from agents.policy.policy_agent import PolicyAgent
 from envs.config import EnvConfig
 from envs.layout import observation_layout
 from questsim import rotations as rot

@@ -14,7 +14,7 @@ from typing import Any
 import tyro
 from PIL import Image
 
-from agents.live.commands import DemoArgs, demo_session, watch
+from agents.live.demo import DemoArgs, demo_session, watch
 from questsim.cli import guarded
 from questsim.viewing.live import Session
 from questsim.viewing.page import Page

@@ -13,16 +13,16 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor, nn
 
-from agents.kinematic.few_rows import (
-    EncoderLayer,
-    Linear,
-    are_few,
-    group_linear,
-    side_by_side,
-)
-from agents.kinematic.ready import Derives
+from agents.kinematic.derived_weights import DerivedWeights
 from agents.kinematic.recurrent.features import ATOMS
 from agents.kinematic.recurrent.lstm import LstmBank, State
+from agents.kinematic.small_batch import (
+    EncoderLayer,
+    Linear,
+    group_linear,
+    is_small_batch,
+    side_by_side,
+)
 from agents.kinematic.switches import SWITCH
 from questsim.proportions import NUM_BONES
 from questsim.skeleton import NUM_JOINTS
@@ -59,7 +59,7 @@ class HmdPoserSpec:
     shape_head: bool = field(default=True, metadata=SWITCH)
 
 
-class HmdPoserNet(Derives):
+class HmdPoserNet(DerivedWeights):
     """From 135 features a frame to 22 rotations in 6D and 16 shape numbers.
 
     Args:
@@ -101,7 +101,7 @@ class HmdPoserNet(Derives):
     def _embed(self, features: Tensor) -> Tensor:
         """Tokens ``(B, T, tokens, size)``."""
         rows = features.shape[:2].numel()
-        if are_few(features, rows):
+        if is_small_batch(features, rows):
             columns, weights, bias, order = self.derived(self._embeddings_at_once)
             seen = features.reshape(rows, -1).t()[columns].transpose(1, 2)
             parts = group_linear(seen, weights, bias).transpose(0, 1).flatten(1)[:, order]

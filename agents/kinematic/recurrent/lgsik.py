@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor, nn
 
-from agents.kinematic.few_rows import Linear
 from agents.kinematic.recurrent.features import ATOMS
 from agents.kinematic.recurrent.lstm import LstmBank, State
 from agents.kinematic.skeletal import MaskedLinear
+from agents.kinematic.small_batch import Linear
 from agents.kinematic.switches import SWITCH
 from questsim.errors import InputError
 from questsim.proportions import NUM_BONES

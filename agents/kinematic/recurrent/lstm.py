@@ -5,14 +5,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from agents.kinematic.few_rows import group_linear
-from agents.kinematic.ready import Derives
+from agents.kinematic.derived_weights import DerivedWeights
+from agents.kinematic.small_batch import group_linear
 
 State = tuple[Tensor, Tensor]
 """Hidden and cell state, each ``(groups, B, size)``."""
 
 
-class LstmBank(Derives):
+class LstmBank(DerivedWeights):
     """One LSTM a group; each reads and writes only its own group's features.
 
     Both weight matrices are normalised by row (Salimans and Kingma 2016), as HMD-Poser's released

@@ -38,7 +38,7 @@ def pytorch_alone() -> Iterator[None]:
         _pytorch_alone = before
 
 
-def are_few(x: Tensor, rows: int) -> bool:
+def is_small_batch(x: Tensor, rows: int) -> bool:
     """Whether so many rows of ``x`` are multiplied by the loops here."""
     return (
         rows <= MOST_ROWS
@@ -63,7 +63,7 @@ def linear(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     """
     width = x.shape[-1]
     rows = x.numel() // width
-    if not are_few(x, rows):
+    if not is_small_batch(x, rows):
         return torch.nn.functional.linear(x, weight, bias)
     out = np.empty((1, rows, len(weight)), np.float32)
     flat = x.detach().contiguous().view(1, rows, width).numpy()
@@ -82,7 +82,7 @@ def group_linear(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     Returns:
         ``(groups, rows, N)``.
     """
-    if not are_few(x, x.shape[1]):
+    if not is_small_batch(x, x.shape[1]):
         return torch.baddbmm(bias[:, None], x, weight.transpose(1, 2))
     out = np.empty((*x.shape[:2], weight.shape[1]), np.float32)
     _products(x.detach().contiguous().numpy(), weight.detach().numpy(), bias.detach().numpy(), out)
@@ -126,7 +126,7 @@ class EncoderLayer(nn.TransformerEncoderLayer):
 
     def forward(self, src: Tensor, *args: Any, **options: Any) -> Tensor:
         """As PyTorch's ``(B, T, size)``; no mask where there are few rows."""
-        if self.training or not are_few(src, src.numel() // src.shape[-1]):
+        if self.training or not is_small_batch(src, src.numel() // src.shape[-1]):
             return super().forward(src, *args, **options)
         attention = self.self_attn
         told = linear(src, attention.in_proj_weight, attention.in_proj_bias)

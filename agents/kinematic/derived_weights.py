@@ -11,14 +11,14 @@ from torch import nn
 _T = TypeVar("_T")
 
 
-class Derives(nn.Module):
+class DerivedWeights(nn.Module):
     """A module that keeps what it derives from its parameters while they cannot change."""
 
     def __init__(self) -> None:
         super().__init__()
         self._kept: object = None
 
-    def train(self, mode: bool = True) -> Derives:
+    def train(self, mode: bool = True) -> DerivedWeights:
         """Switch to training or evaluation; forgets what is kept for evaluation."""
         self._kept = None
         return super().train(mode)

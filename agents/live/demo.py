@@ -14,7 +14,8 @@ import torch
 import tyro
 
 from agents.evaluation.follow import choose_clips
-from agents.live.drivers import BASELINES, Driver, load_driver
+from agents.live.drivers import BASELINES, Driver
+from agents.live.load_driver import load_driver
 from agents.live.recording import record
 from agents.live.runner import Runner
 from agents.live.session import DemoSession

@@ -9,7 +9,11 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from agents.kinematic.data import MotionBank
 from agents.kinematic.dragposer.assembly import assembled
-from agents.kinematic.few_rows import (
+from agents.kinematic.interface import Poses, UserBody
+from agents.kinematic.recurrent.features import features
+from agents.kinematic.recurrent.poser import RecurrentModule
+from agents.kinematic.registry import AGENTS
+from agents.kinematic.small_batch import (
     MOST_ROWS,
     EncoderLayer,
     group_linear,
@@ -17,10 +21,6 @@ from agents.kinematic.few_rows import (
     pytorch_alone,
     side_by_side,
 )
-from agents.kinematic.interface import Poses, UserBody
-from agents.kinematic.recurrent.features import features
-from agents.kinematic.recurrent.poser import RecurrentModule
-from agents.kinematic.registry import AGENTS
 from questsim import differentiable as diff
 from questsim import rotations as rot
 from questsim.joint_sensors import readings

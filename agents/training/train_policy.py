@@ -10,10 +10,11 @@ from typing import Any, Literal
 
 import torch
 
-from agents.agent import Needs, PolicyAgent
+from agents.agent import Needs
 from agents.evaluation.follow import Followed, choose_clips, evaluation_sim, follow
 from agents.overrides import with_overrides
 from agents.policy.checkpoint import CARD_FILE, find_policy, read_card
+from agents.policy.policy_agent import PolicyAgent
 from agents.run_folder import (
     RECORD,
     check_same_run,

@@ -1,0 +1,166 @@
+"""What an agent does on clips: the environment it needs, and a recording of every frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from agents.agent import Agent
+from agents.evaluation.follow import evaluation_sim, follow
+from envs.config import EnvConfig, config_from
+from envs.core import BatchSim
+from envs.objects import shapes_of
+from questsim.errors import InputError
+from questsim.metrics import Rollout
+from questsim.motion.clip import FPS, Clip
+from questsim.objects import ObjectTrack
+from questsim.skeleton import NUM_DOFS, NUM_LINKS
+
+BATCH_CLIPS = 320
+"""At most this many clips are simulated at once: recordings of more would fill the memory."""
+
+
+def env_config(agent: Agent, env_id: str | None = None, height_m: float | None = None) -> EnvConfig:
+    """The environment that an agent needs, from an id if one is given.
+
+    Args:
+        agent: says which sensors, future frames and body it was made for.
+        env_id: a registered environment; its options replace the agent's.
+        height_m: stature of all avatars.
+
+    Raises:
+        InputError: there is no such id, or its options do not suit.
+    """
+    options: dict[str, Any] = {
+        "sensors": agent.needs.sensors,
+        "future_frames": agent.needs.future_frames,
+        "privileged": agent.needs.privileged,
+        "body_preset": agent.needs.body_preset,
+    }
+    if env_id is not None:
+        known = sorted(i for i in gym.registry if i.startswith("QuestSim"))
+        if env_id not in known:
+            raise InputError(f"there is no environment {env_id!r}", "--env", ", ".join(known))
+        options |= {"sensors": EnvConfig().sensors} | gym.spec(env_id).kwargs
+    heights = None if height_m is None else (height_m, height_m)
+    return config_from({**options, "heights": heights, "fixed_start": True})
+
+
+def roll_out(
+    agent: Agent,
+    clips: Sequence[Clip],
+    config: EnvConfig,
+    threads: int = 1,
+    shown: Sequence[Clip] | None = None,
+) -> list[Rollout]:
+    """Let an agent follow clips, in as few batches as the memory allows.
+
+    Args:
+        agent: any.
+        clips: what to follow.
+        config: with ``fixed_start``.
+        threads: of the physics.
+        shown: what the agent sees in place of the clips, see ``BatchSim``.
+
+    Returns:
+        One rollout a clip, in their order.
+
+    Raises:
+        InputError: a clip is shorter than the future window, or the agent does not fit.
+    """
+    # Clips of similar length together: a batch takes as long as its longest.
+    order = sorted(range(len(clips)), key=lambda i: len(clips[i]))
+    rollouts: dict[int, Rollout] = {}
+    for first in range(0, len(order), BATCH_CLIPS):
+        part = order[first : first + BATCH_CLIPS]
+        batch = [clips[i] for i in part]
+        seen = None if shown is None else [shown[i] for i in part]
+        rolled = _roll_out_batch(agent, batch, config, threads, seen)
+        rollouts.update(zip(part, rolled, strict=True))
+    return [rollouts[i] for i in range(len(clips))]
+
+
+class Recorder:
+    """Keeps what metrics need of every step of a batch.
+
+    Args:
+        sim: the simulation, one avatar a clip.
+        frames: of the longest clip.
+    """
+
+    def __init__(self, sim: BatchSim, frames: int) -> None:
+        self._sim = sim
+        n = sim.num_envs
+        self.position = np.zeros((frames, n, NUM_LINKS, 3), np.float32)
+        self.quat = np.zeros((frames, n, NUM_LINKS, 4), np.float32)
+        self.angles = np.zeros((frames, n, NUM_DOFS), np.float32)
+        self.clearance = np.zeros((frames, n, 2), np.float32)
+        self.force = np.zeros((frames, n, 2), np.float32)
+        self.objects = np.zeros((frames, *sim.objects.pose.shape), np.float32)
+        self.count = np.zeros(n, np.int64)
+        self._at = 0
+
+    def __call__(self, keep: np.ndarray) -> None:
+        """Take in the present state; ``keep`` ``(n,)`` says whose counts as a frame."""
+        sim, at = self._sim, self._at
+        self.position[at] = sim.link_positions
+        self.quat[at] = sim.link_quats
+        self.angles[at] = sim.joint_angles
+        self.clearance[at] = sim.foot_clearance
+        self.force[at] = sim.contact_force[..., 2]
+        self.objects[at] = sim.objects.pose
+        self.count += keep
+        self._at += 1
+
+    def objects_of(self, i: int) -> tuple[ObjectTrack, ...]:
+        """The objects beside avatar ``i`` in the frames that were kept."""
+        frames, objects = int(self.count[i]), self._sim.config.objects
+        height = float(self._sim.heights[i])
+        return tuple(
+            ObjectTrack(
+                shapes_of(obj, height),
+                self.objects[:frames, i, number, :3],
+                self.objects[:frames, i, number, 3:],
+            )
+            for number, obj in enumerate(objects)
+        )
+
+
+def _roll_out_batch(
+    agent: Agent, clips: list[Clip], config: EnvConfig, threads: int, shown: list[Clip] | None
+) -> list[Rollout]:
+    sim = evaluation_sim(clips, config, threads, shown=shown)
+    try:
+        agent.bind(sim)
+        recorder = Recorder(sim, max(len(clip) for clip in clips))
+        followed = follow(agent, sim, clips, recorder)
+    finally:
+        sim.close()
+    steps = int(followed.frames.sum())
+    rollouts = []
+    for i, clip in enumerate(clips):
+        frames = int(recorder.count[i])
+        height = float(sim.heights[i])
+        rollouts.append(
+            Rollout(
+                name=clip.name,
+                kind=clip.kind,
+                style=clip.style,
+                height_m=height,
+                fps=FPS,
+                reference=sim.placed_clip(i, clip),
+                link_position=recorder.position[:frames, i],
+                link_quat=recorder.quat[:frames, i],
+                joint_angles=recorder.angles[:frames, i],
+                foot_clearance=recorder.clearance[:frames, i],
+                contact_force=recorder.force[:frames, i],
+                fell=bool(followed.fell[i]),
+                seconds_simulated=followed.frames[i] / FPS,
+                seconds_wall=followed.seconds * float(followed.frames[i]) / steps,
+                objects=recorder.objects_of(i),
+            )
+        )
+    return rollouts

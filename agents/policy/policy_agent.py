@@ -1,0 +1,84 @@
+"""A trained policy as an agent."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from agents.agent import Needs
+from agents.policy.networks import TorquePolicy
+from agents.policy.spec import Layout, PolicySpec
+from questsim.errors import InputError
+from questsim.skeleton import NUM_DOFS
+
+
+class PolicyAgent:
+    """A trained torque policy, acting without noise.
+
+    Args:
+        policy: the networks.
+        needs: the environment it was trained in.
+        name: for messages and reports.
+        card: the rest of its ``policy.yaml``: data, licence, training.
+    """
+
+    def __init__(
+        self,
+        policy: TorquePolicy,
+        needs: Needs,
+        name: str = "policy",
+        card: dict[str, Any] | None = None,
+    ) -> None:
+        self.policy, self.needs, self.name = policy, needs, name
+        self.card = card or {}
+        self.policy.eval()
+
+    def bind(self, env: Any) -> None:
+        """Take the columns of the policy's inputs from ``env.layout``; see ``Agent.bind``."""
+        layout = Layout.of(env.layout)
+        layout.check_provides(self.policy.layout, self.name)
+        config = getattr(env, "config", None)
+        preset = getattr(config, "body_preset", self.needs.body_preset)
+        if preset != self.needs.body_preset:
+            raise InputError(
+                f"trained with body {self.needs.body_preset!r}, the environment has {preset!r}",
+                self.name,
+            )
+        self.policy.use_layout(layout)
+
+    def reset(self, n: int) -> None:
+        """Nothing to forget: the policy has no memory."""
+
+    def act(self, obs: np.ndarray) -> np.ndarray:
+        """Deterministic actions ``(n, 33)`` for observations ``(n, D)``."""
+        return self.policy.predict_batch(obs)
+
+
+class Tracker(PolicyAgent):
+    """A policy that reads the full-body reference: given any motion, it produces torques."""
+
+
+def new_policy(
+    spec: PolicySpec, layout: Layout, learning_rate: float = 1e-3, **settings: Any
+) -> TorquePolicy:
+    """A policy that belongs to no environment yet.
+
+    Args:
+        spec: networks and head.
+        layout: the observation blocks it reads.
+        learning_rate: of its optimiser.
+        **settings: the others of ``TorquePolicy``.
+    """
+    columns = max(stop for _, stop in layout.blocks.values())
+    if spec.torque_head and settings.get("gains") is None:
+        settings["gains"] = np.ones(NUM_DOFS)
+    return TorquePolicy(
+        spaces.Box(-np.inf, np.inf, (columns,), np.float32),
+        spaces.Box(-1.0, 1.0, (NUM_DOFS,), np.float32),
+        lambda _: learning_rate,
+        spec=spec,
+        layout=layout,
+        **settings,
+    )
