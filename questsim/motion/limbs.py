@@ -52,6 +52,18 @@ def _length(link: str, height: float) -> float:
     return float(np.linalg.norm(_link_offset(link, height)))
 
 
+def leg_m(height: float) -> float:
+    """Metres from the avatar's hip to its ankle with the knee stretched."""
+    return _length("left_shin", height) + _length("left_foot", height)
+
+
+def hips_of(root: np.ndarray, quat: np.ndarray, height: float) -> np.ndarray:
+    """Where the avatar's hips are ``(T, 2, 3)`` with its pelvis at ``root``, turned as ``quat``."""
+    pelvis = quat[:, joint_index("root")]
+    offsets = [_link_offset(f"{side}_thigh", height) for side in SIDES]
+    return np.stack([root + rot.quat_rotate(pelvis, offset) for offset in offsets], axis=1)
+
+
 def leg_ratio(motion: Motion, height: float) -> float:
     """Avatar's over the motion's length of thigh and shin."""
     motion_leg = sum(
@@ -156,12 +168,13 @@ def fill_leg(
     root: np.ndarray,
     quat: np.ndarray,
     ankle: np.ndarray,
+    foot: np.ndarray,
     height: float,
     angles: np.ndarray,
 ) -> None:
-    """Fill the six angles of a leg whose ankle goes to ``ankle`` ``(T, 3)``."""
+    """Fill the six angles of a leg: the ankle goes to ``ankle`` ``(T, 3)``, turned as ``foot``."""
     pelvis = quat[:, joint_index("root")]
-    hip = root + rot.quat_rotate(pelvis, _link_offset(f"{side}_thigh", height))
+    hip = hips_of(root, quat, height)[:, SIDES.index(side)]
     knee_axis = rot.quat_rotate(quat[:, joint_index(f"{side}_hip")], np.array([0.0, 1.0, 0.0]))
     thigh_length = _length(f"{side}_shin", height)
     shin_length = _length(f"{side}_foot", height)
@@ -170,8 +183,8 @@ def fill_leg(
         _relative(pelvis, thigh), "YXZ"
     )
     angles[:, _dofs(f"{side}_knee_y")] = knee[:, None]
-    foot = _relative(shin, quat[:, joint_index(f"{side}_ankle")])
-    angles[:, _dofs(f"{side}_ankle_y", f"{side}_ankle_x")] = _euler(foot, "YXZ")[:, :2]
+    relative = _relative(shin, foot)
+    angles[:, _dofs(f"{side}_ankle_y", f"{side}_ankle_x")] = _euler(relative, "YXZ")[:, :2]
 
 
 def fill_arm(

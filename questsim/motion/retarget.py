@@ -3,8 +3,9 @@
 The trunk, the head and the feet take the orientations of the motion. The root's path is scaled
 by the ratio of leg lengths; each leg then reaches the motion's sole, each arm the motion's wrist
 relative to the chest (so that a raised collarbone, which the avatar lacks, still raises the
-hand), by two-bone inverse kinematics in the plane of the motion's knee or elbow. The hinge
-angles that follow are kept within the body's ranges.
+hand), by two-bone inverse kinematics in the plane of the motion's knee or elbow. Feet that float
+or lean while they stand are planted first (``stance``). The hinge angles that follow are kept
+within the body's ranges.
 """
 
 from __future__ import annotations
@@ -31,11 +32,14 @@ from questsim.motion.limbs import (
     fill_arm,
     fill_leg,
     fill_trunk,
+    hips_of,
     joint_index,
+    leg_m,
     leg_ratio,
     root_path,
 )
 from questsim.motion.motion import Motion
+from questsim.motion.stance import lowest_point, measure_soles, plant, sink_for_reach
 from questsim.skeleton import (
     FOOT_LINKS,
     LINK_JOINTS,
@@ -65,10 +69,10 @@ def to_clip(motion: Motion) -> Clip:
     links = fill_trunk(quat, angles)
     ankles = _sole_targets(motion, position, quat, height, root)
     feet = quat[:, [joint_index(f"{side}_ankle") for side in SIDES]]
-    root[:, 2] -= _place_on_floor(ankles, feet, height)
+    ankles, feet = _place_on_floor(root, quat, ankles, feet, height)
     for side in SIDES:
         fill_arm(side, motion, position, quat, links, height, angles)
-    qpos = _feet_above_floor(root, quat, ankles, height, angles)
+    qpos = _feet_above_floor(root, quat, ankles, feet, height, angles)
     return clip_from_qpos(
         motion.name,
         qpos,
@@ -82,20 +86,25 @@ def to_clip(motion: Motion) -> Clip:
 
 
 def _feet_above_floor(
-    root: np.ndarray, quat: np.ndarray, ankles: np.ndarray, height: float, angles: np.ndarray
+    root: np.ndarray,
+    quat: np.ndarray,
+    ankles: np.ndarray,
+    feet: np.ndarray,
+    height: float,
+    angles: np.ndarray,
 ) -> np.ndarray:
     """Solve the legs, twice: what the ankle's hinges lack may press a sole into the floor."""
     limits = build_body().model.jnt_range[1:]
-    feet = list(FOOT_LINKS)
+    links = list(FOOT_LINKS)
     for attempt in (1, 2):
         for index, side in enumerate(SIDES):
-            fill_leg(side, root, quat, ankles[:, index], height, angles)
+            fill_leg(side, root, quat, ankles[:, index], feet[:, index], height, angles)
         qpos = np.concatenate(
             [root, quat[:, 0], np.clip(angles, limits[:, 0], limits[:, 1])], axis=-1
         )
         if attempt == 1:
             link_position, link_quat = link_poses(qpos, height)
-            soles = sole_positions(link_position[:, feet], link_quat[:, feet], height)
+            soles = sole_positions(link_position[:, links], link_quat[:, links], height)
             ankles[..., 2] += np.maximum(-soles[..., 2].min(axis=-1), 0.0)
     return qpos
 
@@ -142,16 +151,26 @@ def _sole_targets(
     return targets
 
 
-def _place_on_floor(ankles: np.ndarray, feet: np.ndarray, height: float) -> float:
-    """Shift ankle targets ``(T, 2, 3)`` in place so that soles touch z = 0 and none is below.
+def _place_on_floor(
+    root: np.ndarray, quat: np.ndarray, ankles: np.ndarray, feet: np.ndarray, height: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Put the soles on z = 0, none below; the root ``(T, 3)`` is moved in place.
 
     Returns:
-        the height in metres of the floor before, for the root to be lowered by.
+        ankle targets ``(T, 2, 3)`` and the orientations of the feet ``(T, 2, 4)``.
     """
-    lowest = sole_positions(ankles, feet, height)[..., 2].min(axis=-1)
+    lowest = lowest_point(ankles, feet, height)
     floor = float(np.percentile(lowest.min(axis=1), FLOOR_PERCENTILE))
-    ankles[..., 2] += np.maximum(-floor, -lowest)
-    return floor
+    root[:, 2] -= floor
+    on_floor = ankles - [0.0, 0.0, floor]
+    soles = measure_soles(on_floor, feet, height)
+    if soles.flat:
+        ankles, feet, rise, stands = plant(soles, on_floor, feet, height)
+        root[:, 2] += rise
+        root[:, 2] -= sink_for_reach(hips_of(root, quat, height), ankles, stands, leg_m(height))
+    else:
+        ankles[..., 2] += np.maximum(-floor, -lowest)
+    return ankles, feet
 
 
 def retargeting_error(motion: Motion, clip: Clip) -> dict[str, float]:

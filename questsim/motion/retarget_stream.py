@@ -100,7 +100,8 @@ class StreamRetargeter:
         self, root: np.ndarray, quat: np.ndarray, ankles: np.ndarray, angles: np.ndarray
     ) -> np.ndarray:
         for index, side in enumerate(SIDES):
-            fill_leg(side, root, quat, ankles[:, index], self._height, angles)
+            foot = quat[:, _ANKLES[index]]
+            fill_leg(side, root, quat, ankles[:, index], foot, self._height, angles)
         return np.concatenate([root, quat[:, 0], _within_limits(angles)], axis=-1)
 
 

@@ -1,0 +1,138 @@
+"""Feet that float or lean in a file stand on the avatar; stairs and flight stay as they are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from questsim import rotations as rot
+from questsim.motion import retarget
+from questsim.motion.clip import Clip
+from questsim.motion.kinematics import sole_points, sole_positions
+from questsim.motion.motion import Motion
+from questsim.motion.retarget import to_clip
+from questsim.motion.retarget_back import to_motion
+from questsim.motion.spec import load_motions
+from questsim.motion.stance import Soles, from_lean, lean, measure_soles, plant
+from questsim.skeleton import DOFS, FOOT_LINKS, JOINTS
+
+HEIGHT = 1.75
+ANKLE_M = float(-sole_points()[..., 2].mean())
+ANKLES = [JOINTS.index("left_ankle"), JOINTS.index("right_ankle")]
+FLOAT_M, PITCH, ROLL = (0.045, 0.02), np.radians([6.0, -4.0]), np.radians([-5.0, 7.0])
+
+
+@pytest.fixture(scope="module")
+def walk() -> Clip:
+    return load_motions("synthetic:walk")[0]
+
+
+def spoiled(motion: Motion) -> Motion:
+    """The motion with feet that lean by ``PITCH`` and ``ROLL`` on shins of other lengths."""
+    rotations, offsets = motion.rotations.copy(), motion.offsets.copy()
+    for foot, ankle in enumerate(ANKLES):
+        turn = from_lean(np.zeros(()), PITCH[foot], ROLL[foot])
+        rotations[:, ankle] = rot.quat_multiply(rotations[:, ankle], turn)
+        offsets[ankle, 2] += FLOAT_M[foot]
+    return replace(motion, rotations=rotations, offsets=offsets)
+
+
+def soles(clip: Clip) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lowest point and tilt of each sole ``(T, 2)`` in metres, and whether its foot is still."""
+    feet = list(FOOT_LINKS)
+    points = sole_positions(clip.link_position[:, feet], clip.link_quat[:, feet], clip.height_m)
+    still = np.linalg.norm(clip.link_velocity[:, feet], axis=-1) < 0.25
+    return points[..., 2].min(axis=-1), np.ptp(points[..., 2], axis=-1), still
+
+
+def standing(frames: int) -> tuple[np.ndarray, np.ndarray]:
+    """Targets of two flat feet that stand 20 cm apart."""
+    ankles = np.zeros((frames, 2, 3))
+    ankles[:, 0, 1], ankles[:, 1, 1], ankles[..., 2] = 0.1, -0.1, ANKLE_M
+    feet = np.zeros((frames, 2, 4))
+    feet[..., 0] = 1.0
+    return ankles, feet
+
+
+def test_feet_that_float_and_lean_are_planted(walk: Clip) -> None:
+    motion = to_motion(walk)
+    low, tilt, still = soles(to_clip(spoiled(motion)))
+    assert np.abs(low[still]).mean() < 0.007 and np.percentile(np.abs(low[still]), 90) < 0.015
+    assert tilt[still].mean() < 0.01
+    assert (low.min(axis=1) < 0.01).mean() > 0.97
+
+
+def test_arms_and_trunk_do_not_notice_that_feet_are_planted(
+    walk: Clip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    motion = spoiled(to_motion(walk))
+    planted = to_clip(motion)
+    monkeypatch.setattr(retarget, "measure_soles", lambda *_: Soles())
+    floating = to_clip(motion)
+    legs = [7 + i for i, dof in enumerate(DOFS) if any(j in dof for j in ("hip", "knee", "ankle"))]
+    rest = [i for i in range(3, 40) if i not in legs]
+    np.testing.assert_array_equal(planted.qpos[:, rest], floating.qpos[:, rest])
+    assert np.abs(planted.qpos[:, legs] - floating.qpos[:, legs]).max() > 0.05
+
+
+def test_feet_that_stand_already_are_left_alone(walk: Clip) -> None:
+    feet = list(FOOT_LINKS)
+    assert not measure_soles(walk.link_position[:, feet], walk.link_quat[:, feet], HEIGHT).flat
+
+
+def test_each_soles_lean_and_height_are_measured() -> None:
+    ankles, feet = standing(40)
+    ankles[..., 2] += FLOAT_M
+    feet = np.tile(from_lean(np.zeros(2), PITCH, ROLL), (40, 1, 1))
+    found = measure_soles(ankles, feet, HEIGHT)
+    assert found.flat
+    np.testing.assert_allclose(rot.quat_multiply(feet[0], found.turn)[:, 0], 1.0, atol=1e-9)
+    np.testing.assert_allclose(found.level_m, FLOAT_M, atol=2e-3)
+    planted, flat, rise, stands = plant(found, ankles, feet, HEIGHT)
+    assert stands.all()
+    np.testing.assert_allclose(sole_positions(planted, flat, HEIGHT)[..., 2], 0.0, atol=2e-3)
+    np.testing.assert_allclose(rise, -np.mean(FLOAT_M), atol=2e-3)
+
+
+def test_stairs_and_ramps_are_left_alone() -> None:
+    ankles, feet = standing(240)
+    step = (np.arange(240)[:, None] + [0, 15]) // 30  # each foot a step a second, in turn
+    for rise in (0.15, 0.03):  # m a step of 0.3 m: stairs, a ramp of 5.7 degrees
+        climbing = ankles + np.stack([0.3 * step, 0.0 * step, rise * step + 0.03], axis=-1)
+        assert not measure_soles(climbing, feet, HEIGHT).flat
+
+
+def test_a_capture_whose_floor_slopes_a_little_is_levelled() -> None:
+    ankles, feet = standing(240)
+    step = (np.arange(240)[:, None] + [0, 15]) // 30
+    walking = ankles + np.stack([0.3 * step, 0.0 * step, 0.01 * step + 0.03], axis=-1)
+    planted, flat, _, stands = plant(measure_soles(walking, feet, HEIGHT), walking, feet, HEIGHT)
+    low = sole_positions(planted, flat, HEIGHT)[..., 2].min(axis=-1)
+    assert stands.mean() > 0.8 and np.abs(low[stands]).max() < 0.003
+
+
+def test_flight_keeps_its_acceleration() -> None:
+    ankles, feet = standing(60)
+    time = np.arange(21) / 36.0
+    ankles[20:41, :, 2] += (0.5 * 9.81 * time * (time[-1] - time))[:, None]
+    ankles[..., 2] += 0.03
+    ankles[40:, :, 2] += 0.02  # lands higher than it took off
+    found = measure_soles(ankles, feet, HEIGHT)
+    planted, _, rise, _ = plant(found, ankles, feet, HEIGHT)
+    flight = slice(25, 36)
+    before, after = (np.diff(a[flight, :, 2], 2, axis=0) * 36.0**2 for a in (ankles, planted))
+    np.testing.assert_allclose(after, before, atol=1e-6)
+    np.testing.assert_allclose(np.diff(rise[flight], 2), 0.0, atol=2e-4)
+
+
+def test_a_foot_that_rolls_keeps_its_pitch() -> None:
+    ankles, feet = standing(60)
+    ankles[..., 2] += 0.03
+    heel_up = np.radians(np.clip(np.arange(60) - 30, 0, 30))
+    feet[:, 0] = from_lean(np.zeros(60), heel_up, np.zeros(60))
+    _, flat, _, _ = plant(measure_soles(ankles, feet, HEIGHT), ankles, feet, HEIGHT)
+    _, pitch, _ = lean(flat[:, 0])
+    np.testing.assert_allclose(pitch[50:], heel_up[50:], atol=np.radians(0.5))
+    np.testing.assert_allclose(pitch[:28], 0.0, atol=np.radians(0.5))
