@@ -74,12 +74,13 @@ class InverseDynamics:
         acceleration = np.gradient(clip.qvel, 1.0 / FPS, axis=0)
         return np.stack(
             [
-                self._at(qpos, qvel, qacc)
+                self.at(qpos, qvel, qacc)
                 for qpos, qvel, qacc in zip(clip.qpos, clip.qvel, acceleration, strict=True)
             ]
         )
 
-    def _at(self, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray) -> np.ndarray:
+    def at(self, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray) -> np.ndarray:
+        """Generalised forces ``(39,)`` of one frame; see ``forces``."""
         model, data = self._model, self._data
         data.qpos[:], data.qvel[:], data.qacc[:] = qpos, qvel, qacc
         mujoco.mj_inverse(model, data)

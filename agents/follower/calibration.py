@@ -1,0 +1,285 @@
+"""What a user's devices tell about the user while they stand still: stature, floor, mounts.
+
+The user stands upright for three seconds, looks straight ahead and lets the arms hang (or holds
+them apart in an A). Of the body nothing is known but the avatar's proportions:
+
+- stature: the headset's height over the floor, divided by ``EYE_RATIO``, as QuestSim (section 3.6)
+  scales by the headset's height;
+- heading: across the line between the controllers, or where the headset looks;
+- mount of each controller: what turns and moves its reported pose to where the avatar would carry
+  one in that pose, see ``arms``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from envs.stream import standing_clip
+from questsim import rotations as rot
+from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
+from questsim.devices import DeviceFrame, DevicePose
+from questsim.errors import InputError
+from questsim.sensors import device_poses
+from questsim.skeleton import LINKS
+
+EYE_RATIO = 0.936
+"""Height of the eyes over stature, standing.
+
+Source: Drillis & Contini, "Body Segment Parameters" (1966), as in Winter, "Biomechanics and Motor
+Control of Human Movement", fig. 4.1. The avatar carries its headset at 0.9357.
+"""
+LEAST_S, LEAST_FRAMES = 1.0, 20
+STILL_M, STILL_DEG = 0.06, 12.0
+"""A headset that strays further from its median did not stand still."""
+FLOOR_OFF_M = 0.15
+"""Given a stature, a headset further than this from its height means another floor than z = 0."""
+POSES: dict[str, float] = {"hanging": 8.0, "a-pose": 30.0}
+"""How many degrees the arms are apart from the body, by the name of the pose."""
+ARM_STD_DEG: dict[str, float] = {"hanging": 2.0, "a-pose": 4.0}
+GRIP_STD_M, SEEN_STD_M = 0.02, 0.005
+"""How much users differ in how they hold the arm and the controller, and what tracking adds."""
+
+
+@dataclass(frozen=True)
+class Mount:
+    """From a device's reported pose to where the avatar carries one.
+
+    Attributes:
+        offset: ``(3,)`` metres, in the axes of the reported pose.
+        turn: ``(4,)`` the carried device's orientation in the reported one.
+    """
+
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    turn: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+
+    def apply(self, pose: DevicePose) -> DevicePose:
+        """The carried device's pose."""
+        return DevicePose(
+            pose.position + rot.quat_rotate(pose.quat, np.array(self.offset)),
+            rot.quat_multiply(pose.quat, np.array(self.turn)),
+        )
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What is known of a user and their devices.
+
+    Attributes:
+        height_m: stature.
+        floor_m: height of the floor in the devices' space.
+        heading_rad: where the user looked, about the vertical from the x axis.
+        mounts: by device; one that is not there is carried as the avatar carries it.
+    """
+
+    height_m: float
+    floor_m: float = 0.0
+    heading_rad: float = 0.0
+    mounts: Mapping[str, Mount] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not MIN_HEIGHT_M <= self.height_m <= MAX_HEIGHT_M:
+            raise InputError(
+                f"stature {self.height_m:.2f} m is not within {MIN_HEIGHT_M}-{MAX_HEIGHT_M} m",
+                "calibration",
+                "stand upright on the floor that the headset knows, or give --height",
+            )
+
+    def apply(self, frame: DeviceFrame) -> DeviceFrame:
+        """The frame over a floor at z = 0, every device as the avatar carries it."""
+        floor = np.array([0.0, 0.0, self.floor_m])
+        poses = {}
+        for name, pose in frame.poses.items():
+            mount = self.mounts.get(name)
+            pose = pose if mount is None else mount.apply(pose)
+            poses[name] = DevicePose(pose.position - floor, pose.quat)
+        return DeviceFrame(frame.time_s, poses)
+
+    def save(self, path: Path) -> None:
+        """Write it as JSON."""
+        path.write_text(json.dumps({"format": "questsim-calibration", **asdict(self)}, indent=1))
+
+    @staticmethod
+    def load(path: Path) -> Calibration:
+        """Read what ``save`` wrote.
+
+        Raises:
+            InputError: it is another file.
+        """
+        try:
+            return Calibration.of(json.loads(path.read_text()))
+        except (UnicodeDecodeError, json.JSONDecodeError):
+            raise InputError("is no calibration", path, "calibrate again") from None
+
+    @staticmethod
+    def of(values: Mapping[str, object]) -> Calibration:
+        """The calibration of a JSON object.
+
+        Raises:
+            InputError: a field is missing or wrong.
+        """
+        try:
+            mounts = {
+                name: Mount(tuple(map(float, m["offset"])), tuple(map(float, m["turn"])))  # type: ignore
+                for name, m in dict(values["mounts"]).items()  # type: ignore[call-overload]
+            }
+            numbers = [float(values[k]) for k in ("height_m", "floor_m", "heading_rad")]  # type: ignore
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"field {error} cannot be read", "calibration") from None
+        if not np.isfinite(
+            [*numbers, *(x for m in mounts.values() for x in (*m.offset, *m.turn))]
+        ).all():
+            raise InputError("a number is not finite", "calibration")
+        return Calibration(numbers[0], numbers[1], numbers[2], mounts)
+
+
+def calibrate(
+    frames: Iterable[DeviceFrame],
+    *,
+    height_m: float | None = None,
+    floor_m: float | None = None,
+    pose: str = "hanging",
+) -> Calibration:
+    """Measure a user who stands upright and still.
+
+    Args:
+        frames: of about three seconds; the headset in most of them.
+        height_m: stature, if it is known. A headset that is more than 15 cm off its height then
+            means that the space's origin is not on the floor, and says where the floor is.
+        floor_m: height of the floor in the devices' space, if it is not 0.
+        pose: ``"hanging"`` arms, or ``"a-pose"``, 30 degrees apart.
+
+    Raises:
+        InputError: too few frames, a user who moves, looks aside or is of no human stature.
+    """
+    if pose not in POSES:
+        raise InputError(f"unknown pose {pose!r}", "calibration", f"choose from {', '.join(POSES)}")
+    frames = list(frames)
+    head = _still(frames, "headset")
+    if head is None:
+        raise InputError(
+            f"fewer than {LEAST_FRAMES} frames or {LEAST_S:g} s with a headset",
+            "calibration",
+            "stand still for three seconds",
+        )
+    tilt = float(rot.quat_rotate(head.quat, np.array([0.0, 0.0, 1.0]))[2])
+    if tilt < np.cos(np.radians(30.0)):
+        raise InputError("the headset is tilted", "calibration", "look straight ahead")
+    eyes = float(head.position[2])
+    if height_m is None:
+        floor = floor_m or 0.0
+        height = (eyes - floor) / EYE_RATIO
+    else:
+        height, floor = height_m, floor_m or 0.0
+        if floor_m is None and abs(eyes - EYE_RATIO * height_m) > FLOOR_OFF_M:
+            floor = eyes - EYE_RATIO * height_m
+    looked = float(rot.heading(head.quat))
+    found = Calibration(height, floor, looked)  # refuses a stature that is none
+    standing = standing_clip(height)
+    upright, _ = device_poses(standing.link_position[0], standing.link_quat[0], ["headset"], height)
+    level = rot.quat_multiply(rot.quat_conjugate(head.quat), rot.yaw_quat(np.array(looked)))
+    lift = np.array([0.0, 0.0, upright[0, 2] - (eyes - floor)])
+    mounts = {"headset": _mount(rot.quat_rotate(rot.quat_conjugate(head.quat), lift), level)}
+    hands = {
+        side: hand
+        for side in ("left", "right")
+        if (hand := _still(frames, f"{side}_controller")) is not None
+    }
+    heading = _heading(looked, hands)
+    turn = rot.yaw_quat(np.array(heading))
+    spot = head.position - rot.quat_rotate(turn, upright[0] * np.array([1.0, 1.0, 0.0]))
+    spot[2] = floor
+    for side, hand in hands.items():
+        mounts[f"{side}_controller"] = _hand_mount(side, hand, height, spot, turn, pose)
+    return Calibration(height, found.floor_m, heading, mounts)
+
+
+def _mount(offset: np.ndarray, turn: np.ndarray) -> Mount:
+    x, y, z = map(float, offset)
+    w, a, b, c = map(float, turn)
+    return Mount((x, y, z), (w, a, b, c))
+
+
+def _still(frames: Sequence[DeviceFrame], name: str) -> DevicePose | None:
+    """Median place and mean orientation of a device; None if it hardly reports.
+
+    Raises:
+        InputError: it does not keep still.
+    """
+    seen = [(frame.time_s, frame.poses[name]) for frame in frames if name in frame.poses]
+    if len(seen) < LEAST_FRAMES or seen[-1][0] - seen[0][0] < LEAST_S:
+        return None
+    places = np.array([pose.position for _, pose in seen])
+    turns = rot.as_rotation(np.array([pose.quat for _, pose in seen]))
+    middle, mean = np.median(places, axis=0), turns.mean()
+    strayed = float(np.percentile(np.linalg.norm(places - middle, axis=-1), 90))
+    turned = float(np.degrees(np.percentile((mean.inv() * turns).magnitude(), 90)))
+    if strayed > STILL_M or turned > STILL_DEG:
+        raise InputError(
+            f"{name} moved by {100 * strayed:.0f} cm and turned by {turned:.0f} degrees",
+            "calibration",
+            "stand still for three seconds",
+        )
+    return DevicePose(middle, rot.as_quat(mean))
+
+
+def _heading(looked: float, hands: Mapping[str, DevicePose]) -> float:
+    """Where the user faces: midway between the look and the normal of the line of the hands."""
+    if len(hands) < 2:
+        return looked
+    across = hands["left"].position - hands["right"].position
+    facing = float(np.arctan2(across[1], across[0])) - np.pi / 2.0
+    apart = float(np.arctan2(np.sin(facing - looked), np.cos(facing - looked)))
+    if abs(apart) > np.radians(25.0):
+        raise InputError(
+            f"the headset looks {abs(np.degrees(apart)):.0f} degrees aside of the arms",
+            "calibration",
+            "look straight ahead, arms alike on both sides, each controller in its own hand",
+        )
+    return looked + 0.5 * apart
+
+
+def _hand_mount(
+    side: str, hand: DevicePose, height: float, spot: np.ndarray, turn: np.ndarray, pose: str
+) -> Mount:
+    """Mount of a controller, from where and how it is while the arm hangs straight.
+
+    Nothing shows how far exactly the arm is from the body, nor how the controller lies in the
+    hand. Both are estimated together, each near what is usual: the arm by the name of the pose
+    within ``ARM_STD_DEG``, the controller in the fist within ``GRIP_STD_M``.
+    """
+    standing = standing_clip(height)
+    links, quats = standing.link_position[0], standing.link_quat[0]
+    name = f"{side}_controller"
+    carried, _ = device_poses(links, quats, [name], height)
+    shoulder = links[LINKS.index(f"{side}_upper_arm")]
+    reach = carried[0] - shoulder
+    origin = spot + rot.quat_rotate(turn, shoulder)
+    sign = 1.0 if side == "left" else -1.0
+    nominal = np.radians(POSES[pose])
+
+    def arm(angles: np.ndarray) -> np.ndarray:
+        about = Rotation.from_euler("xy", [sign * angles[0], -angles[1]])
+        return rot.quat_multiply(turn, rot.as_quat(about))
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        place = origin + rot.quat_rotate(arm(x[:2]), reach + x[2:])
+        return np.concatenate(
+            [
+                (place - hand.position) / SEEN_STD_M,
+                (x[:2] - [nominal, 0.0]) / np.radians(ARM_STD_DEG[pose]),
+                x[2:] / GRIP_STD_M,
+            ]
+        )
+
+    x = least_squares(residuals, np.array([nominal, 0.0, 0.0, 0.0, 0.0])).x
+    hand_quat = arm(x[:2])
+    back = rot.quat_conjugate(hand.quat)
+    offset = rot.quat_rotate(back, rot.quat_rotate(hand_quat, -x[2:]))
+    return _mount(offset, rot.quat_multiply(back, hand_quat))

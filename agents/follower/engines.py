@@ -1,0 +1,484 @@
+"""What turns devices at a fixed rate into states of the avatar: one engine a kind of agent.
+
+- ``TorqueEngine``: a policy that reads devices at 36 Hz, on simulated physics.
+- ``PoseEngine``: a kinematic system at 60 Hz; its poses are shown as they are.
+- ``PhysicsEngine``: a tracker follows a kinematic system's poses on simulated physics.
+
+Each takes one moment of the devices at a time, in constant time and memory.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from agents.agent import Agent, PolicyAgent
+from agents.kinematic.interface import Body, KinematicSystem
+from agents.kinematic.physics_behind import BEGINNING_FRAMES, on_own_body
+from agents.policy.spec import Layout
+from envs.assist import Assist, checked_bound, headsets
+from envs.config import EnvConfig
+from envs.layout import observation_layout
+from envs.stream import AHEAD, StreamSim, standing_clip
+from envs.terrain import Terrain, height_field
+from questsim.body import DEFAULT_HEIGHT_M, build_body
+from questsim.errors import InputError
+from questsim.joint_sensors import SENSOR_FPS, SensorFrame
+from questsim.motion.clip import FPS
+from questsim.motion.inverse_dynamics import InverseDynamics
+from questsim.motion.kinematics import clip_from_qpos
+from questsim.motion.motion import Motion
+from questsim.motion.retarget_back import to_motion
+from questsim.motion.retarget_stream import StreamRetargeter
+from questsim.sensors import DEVICES, SENSOR_SETS, sensor_set
+from questsim.skeleton import NUM_DOFS
+
+QPOS = 7 + NUM_DOFS
+_TAKEN = 5
+"""Poses of which velocities and accelerations of the middle one are taken."""
+
+
+@dataclass(frozen=True)
+class State:
+    """The avatar in one moment.
+
+    Attributes:
+        time_s: on the clock of the devices.
+        qpos: ``(40,)``.
+        contact_force: ``(2, 3)`` N.
+        assist_force, assist_torque: ``(3,)`` N, N m.
+        headset_error_m: distance of the avatar's headset from the user's, just before.
+    """
+
+    time_s: float
+    qpos: np.ndarray
+    contact_force: np.ndarray
+    assist_force: np.ndarray
+    assist_torque: np.ndarray
+    headset_error_m: float
+
+
+class Engine(ABC):
+    """Moves one avatar.
+
+    Attributes:
+        names: the devices that it reads, in order.
+        rate_hz: moments of the devices a second.
+        latency_s: how much later than the newest moment its states can be, interpolated.
+        physics: whether it can fall.
+        height_m: the avatar's stature, once there is one.
+    """
+
+    names: tuple[str, ...]
+    rate_hz: float
+    latency_s: float
+    physics: bool
+    height_m: float
+    assist_n: float = 0.0
+    _assist: Assist | None = None
+
+    def set_assist(self, bound_n: float) -> None:
+        """Let a force of at most so many newtons help; 0 for none.
+
+        Raises:
+            InputError: there is no physics to help, or the force is out of range.
+        """
+        if bound_n and not self.physics:
+            raise InputError("poses without physics need no assist", "assist", "leave it out")
+        checked_bound(bound_n)
+        self.assist_n = bound_n
+        if self._assist is not None:
+            self._assist.bound_n = bound_n
+
+    @abstractmethod
+    def build(self, height_m: float) -> None:
+        """Make an avatar of that stature; nothing is shown yet."""
+
+    @abstractmethod
+    def begin(self, position: np.ndarray, quat: np.ndarray) -> None:
+        """A stream begins with devices at ``(D, 3)``, ``(D, 4)``; nothing was before."""
+
+    @abstractmethod
+    def put(self, qpos: np.ndarray, velocity: np.ndarray) -> None:
+        """Put the avatar into a pose ``(40,)``, moving at ``(3,)`` m/s."""
+
+    @abstractmethod
+    def feed(
+        self, time_s: float, position: np.ndarray, quat: np.ndarray, present: np.ndarray
+    ) -> State | None:
+        """One moment of the devices later; the new state, or None where it is not its turn.
+
+        Args:
+            time_s: of this moment.
+            position, quat: ``(D, 3)`` and ``(D, 4)`` of the devices.
+            present: ``(D,)`` bool; poses of devices that do not report are made up.
+        """
+
+    @abstractmethod
+    def user_devices(self) -> tuple[np.ndarray, np.ndarray]:
+        """What the devices reported at the time of the avatar's present."""
+
+
+class TorqueEngine(Engine):
+    """A policy on simulated physics.
+
+    Args:
+        agent: reads devices, not the full body.
+        sensors: name of the set of devices; by default what the agent was made for.
+        assist_n: bound of the assisting force, 0 for none.
+        terrain: the ground, None for a plane.
+
+    Raises:
+        InputError: the agent reads what no device reports.
+    """
+
+    rate_hz, physics = FPS, True
+
+    def __init__(
+        self,
+        agent: Agent,
+        sensors: str | None = None,
+        assist_n: float = 0.0,
+        terrain: Terrain | None = None,
+    ) -> None:
+        needs = agent.needs
+        if needs.privileged:
+            raise InputError(
+                f"{agent.name} reads the user's whole body, which no device reports",
+                "Follower",
+                "put a kinematic system before it, e.g. hmdposer+physics",
+            )
+        self._agent = agent
+        self.set_assist(assist_n)
+        self._config = EnvConfig(
+            sensors=sensors or needs.sensors,
+            future_frames=needs.future_frames,
+            body_preset=needs.body_preset,
+            terrain=terrain,
+        )
+        if isinstance(agent, PolicyAgent):
+            layout = Layout.of(observation_layout(self._config))
+            layout.check_provides(agent.policy.layout, agent.name)
+        self.names = sensor_set(self._config.sensors)
+        self._window = self._config.future_frames
+        self.latency_s = self._window / FPS
+
+    def build(self, height_m: float) -> None:
+        """See ``Engine``."""
+        self.height_m = height_m
+        self._sim = StreamSim(self._config, height_m)
+        self._agent.bind(self._sim)
+        self._agent.reset(1)
+        self._assist = Assist(self._sim, self.assist_n)
+
+    def begin(self, position: np.ndarray, quat: np.ndarray) -> None:
+        """See ``Engine``."""
+        self._sim.show_devices(position, quat, fill=True)
+
+    def put(self, qpos: np.ndarray, velocity: np.ndarray) -> None:
+        """See ``Engine``."""
+        self._sim.put(qpos, velocity)
+        self._agent.reset(1)
+        assert self._assist is not None
+        self._assist.reset()
+
+    def user_devices(self) -> tuple[np.ndarray, np.ndarray]:
+        """See ``Engine``; over level ground."""
+        position, quat = self._sim.shown_devices()
+        position[:, 2] -= self._sim.floor[0]
+        return position, quat
+
+    def feed(
+        self, time_s: float, position: np.ndarray, quat: np.ndarray, present: np.ndarray
+    ) -> State | None:
+        """See ``Engine``."""
+        self._sim.show_devices(position, quat)
+        assert self._assist is not None
+        headset, _ = self._sim.shown_devices()
+        return stepped(
+            self._sim, self._agent, self._assist, headset[0], time_s - (self._window - 1) / FPS
+        )
+
+
+def stepped(
+    sim: StreamSim, agent: Agent, assist: Assist, headset: np.ndarray, time_s: float
+) -> State:
+    """One step of physics under an agent's torques and the assist.
+
+    Args:
+        sim: its window has been moved on.
+        agent: bound to it.
+        assist: of it.
+        headset: ``(3,)`` where the user's is at the avatar's present, in the world.
+        time_s: of the state after the step.
+    """
+    apart = float(np.linalg.norm(headset - headsets(sim)[0]))
+    assist.apply(headset[None])
+    sim.step(agent.act(sim.look()))
+    return State(
+        time_s=time_s,
+        qpos=sim.qpos[0, :QPOS].copy(),
+        contact_force=sim.contact_force[0].copy(),
+        assist_force=assist.force[0].copy(),
+        assist_torque=assist.torque[0].copy(),
+        headset_error_m=apart if not sim.unstable[0] else np.inf,
+    )
+
+
+class PoseEngine(Engine):
+    """A kinematic system whose poses are shown without physics.
+
+    Args:
+        system: reads devices at 60 Hz.
+        sensors: name of the set of devices; by default the first one with which it can be used.
+        terrain: the ground, None for a plane; lifts the poses.
+
+    Raises:
+        InputError: the system cannot use these devices, or they are IMUs.
+    """
+
+    rate_hz, physics = SENSOR_FPS, False
+
+    def __init__(
+        self, system: KinematicSystem, sensors: str | None = None, terrain: Terrain | None = None
+    ) -> None:
+        self.names = live_set(system, sensors)
+        self._system = system
+        self._field = None if terrain is None else height_field(terrain)
+        self.latency_s = (system.future_frames + 1) / SENSOR_FPS
+
+    def build(self, height_m: float) -> None:
+        """See ``Engine``."""
+        self.height_m = height_m
+        self._poses = SystemPoses(self._system, self.names, height_m)
+
+    def begin(self, position: np.ndarray, quat: np.ndarray) -> None:
+        """See ``Engine``."""
+        self._poses.reset()
+        self._user = position, quat
+
+    def put(self, qpos: np.ndarray, velocity: np.ndarray) -> None:
+        """Nothing to do: the next pose is the system's."""
+
+    def user_devices(self) -> tuple[np.ndarray, np.ndarray]:
+        """See ``Engine``; the newest ones, which the system's delay does not matter to."""
+        return self._user
+
+    def feed(
+        self, time_s: float, position: np.ndarray, quat: np.ndarray, present: np.ndarray
+    ) -> State | None:
+        """See ``Engine``."""
+        self._user = position, quat
+        qpos = self._poses.retargeted(self._poses.feed(position, quat, present))
+        if self._field is not None:
+            qpos[2] += float(self._field.ground_at(qpos[None, :3])[0])
+        time_s -= self._system.future_frames / SENSOR_FPS
+        return resting_state(time_s, qpos)
+
+
+class SystemPoses:
+    """What a kinematic system makes of a stream of devices, on the user's own bones.
+
+    Args:
+        system: the system.
+        names: its devices.
+        height_m: the user's stature; the bones are the avatar's proportions of it.
+    """
+
+    def __init__(self, system: KinematicSystem, names: tuple[str, ...], height_m: float) -> None:
+        self._system, self._names = system, names
+        self._user = to_motion(standing_clip(height_m, 2))
+        self._retarget = StreamRetargeter(self._user, height_m)
+        self.reset()
+
+    def reset(self) -> None:
+        """The system forgets; another stream begins."""
+        self._system.reset(Body.of(self._user), self._names)
+        self._count = 0
+
+    def feed(self, position: np.ndarray, quat: np.ndarray, present: np.ndarray) -> Motion:
+        """The pose (of one frame) after one more moment of the devices."""
+        if self._system.interpolates_dropouts or not self._count:
+            present = np.ones(len(self._names), bool)
+        frame = SensorFrame(
+            self._count / SENSOR_FPS, self._names, position, quat, np.zeros_like(position), present
+        )
+        self._count += 1
+        return on_own_body(self._system.step(frame), self._user)
+
+    def retargeted(self, pose: Motion) -> np.ndarray:
+        """The avatar's ``qpos`` ``(40,)``."""
+        return self._retarget(pose)[0]
+
+
+class PhysicsEngine(Engine):
+    """A tracker follows the poses of a kinematic system on simulated physics.
+
+    Args:
+        system: reads devices at 60 Hz.
+        tracker: reads a full-body reference, at 36 Hz.
+        sensors, assist_n: as of the other engines.
+
+    Raises:
+        InputError: the system cannot use these devices, or they are IMUs.
+    """
+
+    rate_hz, physics = SENSOR_FPS, True
+
+    def __init__(
+        self,
+        system: KinematicSystem,
+        tracker: Agent,
+        sensors: str | None = None,
+        assist_n: float = 0.0,
+    ) -> None:
+        self.names = live_set(system, sensors)
+        self._system, self._agent = system, tracker
+        self.set_assist(assist_n)
+        needs = tracker.needs
+        self._config = EnvConfig(
+            sensors="H",
+            future_frames=needs.future_frames,
+            privileged=needs.privileged,
+            body_preset=needs.body_preset,
+        )
+        # The reference of a frame takes one more for its velocity; a step gives one back; frames of
+        # 60 and of 36 Hz do not meet; and states are interpolated.
+        self._late = system.future_frames / SENSOR_FPS
+        self.latency_s = AHEAD / FPS + 1.0 / SENSOR_FPS + self._late
+
+    def build(self, height_m: float) -> None:
+        """See ``Engine``."""
+        self.height_m = height_m
+        self._poses = SystemPoses(self._system, self.names, height_m)
+        self._sim = StreamSim(self._config, height_m)
+        self._agent.bind(self._sim)
+        self._assist = Assist(self._sim, self.assist_n)
+        self._dynamics = InverseDynamics()
+        self._limits = build_body().torque_limits
+
+    def begin(self, position: np.ndarray, quat: np.ndarray) -> None:
+        """See ``Engine``."""
+        self._poses.reset()
+        self._pose: Motion | None = None
+        self._count, self._frame = 0, 0
+        self._last: list[np.ndarray] = []
+        self._users = [(position, quat)] * (AHEAD + 1)
+        self._blend = 0
+
+    def put(self, qpos: np.ndarray, velocity: np.ndarray) -> None:
+        """See ``Engine``; what is shown goes over from this pose to the system's."""
+        self._sim.put(qpos, velocity)
+        self._agent.reset(1)
+        assert self._assist is not None
+        self._assist.reset()
+        self._last = [qpos.copy() for _ in range(_TAKEN)]
+        still = clip_from_qpos("pose", np.array(self._last), self.height_m)
+        self._sim.show_pose(still, 1, None, fill=True)
+        self._start, self._blend = qpos.copy(), BEGINNING_FRAMES
+
+    def user_devices(self) -> tuple[np.ndarray, np.ndarray]:
+        """See ``Engine``."""
+        return self._users[0]
+
+    def feed(
+        self, time_s: float, position: np.ndarray, quat: np.ndarray, present: np.ndarray
+    ) -> State | None:
+        """See ``Engine``."""
+        pose = self._poses.feed(position, quat, present)
+        before, self._pose = self._pose or pose, pose
+        moment = self._count / SENSOR_FPS
+        due = self._frame / FPS
+        self._count += 1
+        if due > moment + 1e-9:
+            return None
+        share = 1.0 - (moment - due) * SENSOR_FPS
+        self._frame += 1
+        qpos = self._poses.retargeted(between_poses(before, pose, share))
+        self._users = [*self._users[1:], (position, quat)]
+        self._show(qpos)
+        assert self._assist is not None
+        headset = self._users[0][0][0]
+        time_s -= moment - due + self._late + (AHEAD - 1) / FPS
+        return stepped(self._sim, self._agent, self._assist, headset, time_s)
+
+    def _show(self, qpos: np.ndarray) -> None:
+        """Move the tracker's window on, by the last pose that has both neighbours."""
+        if self._blend:
+            share = 1.0 - self._blend / (BEGINNING_FRAMES + 1)
+            qpos = between_qpos(self._start, qpos, share)
+            self._blend -= 1
+        self._last = [*self._last[1:], qpos]
+        clip = clip_from_qpos("poses", np.array(self._last), self.height_m)
+        common = clip.scaled(DEFAULT_HEIGHT_M)
+        acceleration = 0.5 * FPS * (common.qvel[3] - common.qvel[1])
+        forces = self._dynamics.at(common.qpos[2], common.qvel[2], acceleration)
+        self._sim.show_pose(clip, _TAKEN - 2, forces[6:] / self._limits)
+
+
+def live_set(system: KinematicSystem, sensors: str | None) -> tuple[str, ...]:
+    """Devices that a system is used with on a live stream.
+
+    Raises:
+        InputError: it cannot use them, or they are IMUs, which no headset has.
+    """
+    if sensors is None:
+        usable = [name for name in SENSOR_SETS if _fits(system, name)]
+        if not usable:
+            raise InputError(f"no live set of devices suits {system.name}", "Follower")
+        sensors = usable[0]
+    names = system.usable(sensors)
+    imus = [name for name in names if DEVICES[name].kind == "imu"]
+    if imus:
+        raise InputError(f"{imus[0]} is no part of a live stream", "sensors", "use a set without")
+    return names
+
+
+def _fits(system: KinematicSystem, sensors: str) -> bool:
+    try:
+        live_set(system, sensors)
+    except InputError:
+        return False
+    return True
+
+
+def between_poses(a: Motion, b: Motion, share: float) -> Motion:
+    """A pose (one frame) between two of the same person."""
+    sign = np.where((a.rotations * b.rotations).sum(-1, keepdims=True) < 0.0, -1.0, 1.0)
+    turn = (1.0 - share) * a.rotations + share * sign * b.rotations
+    turn /= np.linalg.norm(turn, axis=-1, keepdims=True)
+    root = (1.0 - share) * a.root_position + share * b.root_position
+    return replace(b, root_position=root, rotations=turn)
+
+
+def resting_state(time_s: float, qpos: np.ndarray) -> State:
+    """A pose ``(40,)`` without forces."""
+    return State(time_s, qpos, np.zeros((2, 3)), np.zeros(3), np.zeros(3), 0.0)
+
+
+def between_states(a: State, b: State, time_s: float) -> State:
+    """The state at a time between those of two."""
+    share = (time_s - a.time_s) / (b.time_s - a.time_s)
+
+    def mix(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return (1.0 - share) * x + share * y
+
+    return State(
+        time_s=time_s,
+        qpos=between_qpos(a.qpos, b.qpos, share),
+        contact_force=mix(a.contact_force, b.contact_force),
+        assist_force=mix(a.assist_force, b.assist_force),
+        assist_torque=mix(a.assist_torque, b.assist_torque),
+        headset_error_m=b.headset_error_m,
+    )
+
+
+def between_qpos(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
+    """A pose ``(40,)`` between two: positions and angles on lines, the root's turn as well."""
+    out = (1.0 - share) * a + share * b
+    sign = -1.0 if a[3:7] @ b[3:7] < 0.0 else 1.0
+    out[3:7] = (1.0 - share) * a[3:7] + share * sign * b[3:7]
+    out[3:7] /= np.linalg.norm(out[3:7])
+    return out

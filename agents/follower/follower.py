@@ -1,0 +1,246 @@
+"""``Follower``: from poses of a user's devices to poses of the avatar, frame by frame."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from agents.agent import Agent, load_agent
+from agents.follower.bridge import Bridge, Moment
+from agents.follower.calibration import Calibration, calibrate
+from agents.follower.engines import (
+    Engine,
+    PhysicsEngine,
+    PoseEngine,
+    State,
+    TorqueEngine,
+    between_states,
+    resting_state,
+)
+from agents.follower.stance import estimated_pose
+from agents.kinematic.interface import KinematicSystem
+from agents.names import UNTRAINED
+from envs.stream import standing_clip
+from envs.terrain import Terrain
+from questsim import rotations as rot
+from questsim.avatar_pose import AvatarPose
+from questsim.body import build_body
+from questsim.devices import DeviceFrame
+from questsim.errors import InputError
+from questsim.skeleton import NUM_LINKS
+
+LOST_M, LOST_S = 0.6, 0.3
+"""An avatar whose head is this far from its user's for this long has fallen: it is set up again."""
+_KEPT = 32
+
+
+class Follower:
+    """An avatar that follows a stream of devices, in constant time and memory a frame.
+
+    Torque policies, kinematic systems and kinematic systems with physics behind them are used
+    alike. Call ``calibrate`` once (or give a stature), then ``step`` with every frame.
+
+    Args:
+        agent: the name of a shipped policy or system (``questsim``, ``questsim-now``,
+            ``hmdposer``, ``hmdposer+physics``), a checkpoint or run folder, or a loaded one.
+        sensors: name of the set of devices; by default the agent's own.
+        height_m: the user's stature, where it is known.
+        assist_n: greatest force in N that may help the avatar's balance from outside, see
+            ``envs.assist``; 0 for honest physics.
+        terrain: the ground under the avatar; None for a plane.
+
+    Attributes:
+        calibration: of the user; None before one is there.
+        names: the devices that are read.
+        latency_s: how much older than the newest frame a pose is: the window of future frames
+            that the agent reads, and what interpolation takes.
+
+    Raises:
+        InputError: there is no such agent, or it cannot be used with these devices.
+    """
+
+    def __init__(
+        self,
+        agent: str | Path | Agent | KinematicSystem = "questsim",
+        sensors: str | None = None,
+        *,
+        height_m: float | None = None,
+        assist_n: float = 0.0,
+        terrain: Terrain | None = None,
+    ) -> None:
+        self._engine = engine_of(agent, sensors, assist_n, terrain)
+        self._carry = terrain is None
+        self.names, self.latency_s = self._engine.names, self._engine.latency_s
+        self.calibration: Calibration | None = None
+        if height_m is not None:
+            self.use(Calibration(height_m))
+
+    @property
+    def assist_n(self) -> float:
+        """Bound of the assisting force in N; can be set at any time."""
+        return self._engine.assist_n
+
+    @assist_n.setter
+    def assist_n(self, bound_n: float) -> None:
+        self._engine.set_assist(bound_n)
+
+    def calibrate(
+        self,
+        frames: Iterable[DeviceFrame],
+        *,
+        height_m: float | None = None,
+        floor_m: float | None = None,
+        pose: str = "hanging",
+    ) -> Calibration:
+        """Get to know a user who stands still and upright for about three seconds.
+
+        See ``calibration.calibrate`` for the arguments and errors; the avatar begins anew with the
+        next ``step``.
+        """
+        calibration = calibrate(frames, height_m=height_m, floor_m=floor_m, pose=pose)
+        self.use(calibration)
+        return calibration
+
+    def use(self, calibration: Calibration) -> None:
+        """Take up a calibration that was made before; the avatar begins anew."""
+        height = round(calibration.height_m, 4)
+        self._engine.build(height)
+        self._model = build_body(height).model
+        self._data = mujoco.MjData(self._model)
+        self.calibration = calibration
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the stream; the next frame is the first of another."""
+        assert self.calibration is not None
+        engine = self._engine
+        self._bridge = Bridge(engine.names, engine.rate_hz, engine.height_m, self._carry)
+        self._states: deque[State] = deque(maxlen=_KEPT)
+        self._events: list[str] = []
+        self._lost_s = 0.0
+
+    def step(self, frame: DeviceFrame) -> AvatarPose:
+        """Take in one frame of the devices.
+
+        Frames may come at any rate from 36 Hz on, irregularly, late, twice or not at all; devices
+        may be missing. ``agents.follower.bridge`` says what is made of that. The avatar begins
+        where the user is; before the headset has reported it stands at the origin.
+
+        Args:
+            frame: in our convention, see ``DeviceFrame.of``.
+
+        Returns:
+            The avatar ``latency_s`` before the frame, interpolated to that very moment.
+
+        Raises:
+            InputError: nothing is known of the user yet.
+        """
+        if self.calibration is None:
+            raise InputError(
+                "the user's stature is not known", "Follower", "calibrate, or give height_m"
+            )
+        for moment in self._bridge.push(self.calibration.apply(frame)):
+            self._advance(moment)
+        return self._pose_at(frame.time_s - self.latency_s)
+
+    def _advance(self, moment: Moment) -> None:
+        engine = self._engine
+        if moment.fresh:
+            engine.begin(moment.position, moment.quat)
+            self._set_up(moment.time_s - self.latency_s, np.zeros(3))
+            return
+        state = engine.feed(moment.time_s, moment.position, moment.quat, moment.present)
+        if state is None:
+            return
+        if engine.physics and state.headset_error_m > LOST_M:
+            self._lost_s += 1.0 / 36.0
+            if self._lost_s > LOST_S or not np.isfinite(state.headset_error_m):
+                self._events.append("the avatar fell: set up again")
+                self._set_up(state.time_s, self._bridge.velocity)
+                return
+        else:
+            self._lost_s = 0.0
+        if np.isfinite(state.qpos).all():
+            self._states.append(state)
+
+    def _set_up(self, time_s: float, velocity: np.ndarray) -> None:
+        """Put the avatar where its user seems to be; what was before is not interpolated with."""
+        engine = self._engine
+        position, quat = engine.user_devices()
+        qpos = estimated_pose(engine.names, position, quat, engine.height_m)
+        engine.put(qpos, velocity)
+        self._states.clear()
+        self._states.append(resting_state(time_s, qpos))
+        self._lost_s = 0.0
+
+    def _pose_at(self, time_s: float) -> AvatarPose:
+        """The pose at a time, as far as there are states about it."""
+        events = (*self._bridge.events, *self._events)
+        self._bridge.events.clear()
+        self._events.clear()
+        if not self._states:
+            qpos = standing_clip(self._engine.height_m).qpos[0]
+            return self._posed(resting_state(time_s, qpos), events)
+        after = next((i for i, s in enumerate(self._states) if s.time_s >= time_s), None)
+        if after is None or after == 0:
+            return self._posed(self._states[-1 if after is None else 0], events)
+        return self._posed(
+            between_states(self._states[after - 1], self._states[after], time_s), events
+        )
+
+    def _posed(self, state: State, events: tuple[str, ...]) -> AvatarPose:
+        """A state in the space of the devices; links by forward kinematics."""
+        assert self.calibration is not None
+        qpos, alignment = state.qpos.copy(), self._bridge.alignment
+        qpos[:3], qpos[3:7] = alignment.undo(qpos[:3], qpos[3:7])
+        qpos[2] += self.calibration.floor_m
+        self._data.qpos[:] = qpos
+        mujoco.mj_kinematics(self._model, self._data)
+        back = rot.yaw_quat(np.array(-alignment.yaw))
+        return AvatarPose(
+            time_s=state.time_s,
+            height_m=self._engine.height_m,
+            root_position=qpos[:3],
+            root_quat=qpos[3:7],
+            joint_angles=qpos[7:],
+            link_position=self._data.xpos[1 : NUM_LINKS + 1].copy(),
+            link_quat=self._data.xquat[1 : NUM_LINKS + 1].copy(),
+            contact_force=rot.quat_rotate(back, state.contact_force),
+            assist_force=rot.quat_rotate(back, state.assist_force),
+            assist_torque=rot.quat_rotate(back, state.assist_torque),
+            events=events,
+        )
+
+
+def engine_of(
+    agent: str | Path | Agent | KinematicSystem,
+    sensors: str | None,
+    assist_n: float,
+    terrain: Terrain | None,
+) -> Engine:
+    """The engine of an agent, loaded by its name if it is one.
+
+    Raises:
+        InputError: see ``Follower``.
+    """
+    if isinstance(agent, KinematicSystem):
+        return PoseEngine(agent, sensors, terrain)
+    if not isinstance(agent, str | Path):
+        return TorqueEngine(agent, sensors, assist_n, terrain)
+    # Not at the top: all systems are imported with these.
+    from agents.kinematic.physics_behind import TRACKER, base_of
+    from agents.kinematic.store import find_system, load_system
+
+    name = str(agent)
+    base = base_of(name)
+    if base is not None:
+        if terrain is not None:
+            raise InputError(f"{name} follows on level ground only", "terrain", "leave it out")
+        return PhysicsEngine(load_system(base), load_agent(TRACKER), sensors, assist_n)
+    if name in UNTRAINED or find_system(name) is not None:
+        return PoseEngine(load_system(name), sensors, terrain)
+    return TorqueEngine(load_agent(agent), sensors, assist_n, terrain)

@@ -1,0 +1,151 @@
+"""One avatar that follows a stream: its user's devices or poses arrive frame by frame.
+
+``BatchSim`` reads whole clips. Here the rows of its reference are a window that moves on by one
+frame before each step, so that time and memory stay constant however long a stream is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from envs.config import EnvConfig
+from envs.core import BatchSim
+from questsim.body import DEFAULT_HEIGHT_M
+from questsim.motion.clip import Clip
+from questsim.motion.kinematics import clip_from_qpos, sole_positions
+from questsim.sensors import sensor_set
+from questsim.skeleton import FOOT_LINKS, NUM_DOFS
+
+NOW = 2
+"""Row of the window that is the avatar's present."""
+AHEAD = 6
+"""Rows after it: as far as any agent looks ahead."""
+_ROWS = NOW + AHEAD + 1
+_POSITIONS, _VELOCITIES = 7 + NUM_DOFS, 6 + NUM_DOFS
+
+
+def standing_clip(height_m: float, frames: int = 1) -> Clip:
+    """A clip of an avatar that stands upright at the origin, arms hanging, and looks along x."""
+    qpos = np.zeros((frames, _POSITIONS))
+    qpos[:, 3] = 1.0
+    clip = clip_from_qpos("standing", qpos, height_m)
+    feet = list(FOOT_LINKS)
+    soles = sole_positions(clip.link_position[:, feet], clip.link_quat[:, feet], height_m)
+    qpos[:, 2] = -soles[..., 2].min()
+    return clip_from_qpos("standing", qpos, height_m)
+
+
+class StreamSim(BatchSim):
+    """One avatar, one user, and a window of what the user did and is about to do.
+
+    Coordinates are those of the world, but heights of devices and poses are over the user's own
+    level floor: a terrain lifts the avatar, not them.
+
+    Args:
+        config: what the agent needs; ``heights`` and ``fixed_start`` are set here.
+        height_m: the avatar's stature.
+    """
+
+    def __init__(self, config: EnvConfig, height_m: float) -> None:
+        options = replace(config, heights=(height_m, height_m), fixed_start=True)
+        super().__init__([standing_clip(height_m, _ROWS)], options, 1)
+        self.device_names = sensor_set(config.sensors)
+        self.newest_row = NOW + config.frame_offsets[-1]
+        self.reset()
+
+    @property
+    def height_m(self) -> float:
+        """The avatar's stature."""
+        return float(self.heights[0])
+
+    def put(self, qpos: np.ndarray, velocity: np.ndarray | None = None) -> None:
+        """Put the avatar into a pose over level ground, lifted by the terrain there.
+
+        Args:
+            qpos: ``(40,)``.
+            velocity: ``(3,)`` of the whole body in m/s; at rest if None.
+        """
+        self.reset()
+        # The user's space is the world: a clip's place on the terrain would move it.
+        self.placement.place[:] = 0.0, 0.0, 1.0, 0.0
+        self.qpos[0, :_POSITIONS] = qpos
+        self.qvel[0, :_VELOCITIES] = 0.0
+        if velocity is not None:
+            self.qvel[0, :3] = velocity
+        if self.placement.field is not None:
+            self.batch.forward(stage=int(mujoco.mjtStage.mjSTAGE_POS.value))
+            self.qpos[0, 2] += max(-float(self.foot_clearance.min()), 0.0)
+        self.batch.forward(stage=int(mujoco.mjtStage.mjSTAGE_VEL.value))
+        self.look()
+
+    def show_devices(self, position: np.ndarray, quat: np.ndarray, fill: bool = False) -> None:
+        """Move the window on by one frame and write the newest poses of the devices.
+
+        Args:
+            position: ``(D, 3)`` metres, of ``device_names``.
+            quat: ``(D, 4)``.
+            fill: write them to the whole window instead: a stream begins.
+        """
+        reference = self.reference
+        for rows, newest in (
+            (reference.dev_position, position / (self.height_m / DEFAULT_HEIGHT_M)),
+            (reference.dev_quat, quat),
+        ):
+            if fill:
+                rows[:] = newest
+            else:
+                rows[:-1] = rows[1:].copy()
+                rows[self.newest_row :] = newest
+
+    def shown_devices(self) -> tuple[np.ndarray, np.ndarray]:
+        """What the devices report of the avatar's present: ``(D, 3)`` in the world, ``(D, 4)``."""
+        position = self.reference.dev_position[NOW].astype(float) * (
+            self.height_m / DEFAULT_HEIGHT_M
+        )
+        position[:, 2] += self.floor[0]
+        return position, self.reference.dev_quat[NOW].astype(float)
+
+    def show_pose(
+        self, clip: Clip, row: int, torque: np.ndarray | None, fill: bool = False
+    ) -> None:
+        """Move the window on by one frame and write the newest full-body pose of the user.
+
+        Args:
+            clip: of any stature, on level ground; only one row of it is read.
+            row: which.
+            torque: ``(33,)`` what the frame before it takes, as shares of the joints' limits.
+            fill: write it to the whole window instead, at rest: a stream begins.
+        """
+        ratio, reference = clip.height_m / DEFAULT_HEIGHT_M, self.reference
+        scale_root = np.ones(_POSITIONS)
+        scale_root[:3] = 1.0 / ratio
+        fields = (
+            (reference.qpos, clip.qpos[row] * scale_root),
+            (reference.qvel, clip.qvel[row] * scale_root[:_VELOCITIES]),
+            (reference.position, clip.link_position[row] / ratio),
+            (reference.quat, clip.link_quat[row]),
+            (reference.velocity, clip.link_velocity[row] / ratio),
+            (reference.angular_velocity, clip.link_angular_velocity[row]),
+        )
+        at = NOW + AHEAD - 1
+        for number, (rows, newest) in enumerate(fields):
+            if fill:
+                rows[:] = 0.0 if number in (1, 4, 5) else newest
+            else:
+                rows[:-1] = rows[1:].copy()
+                rows[at:] = newest
+        if len(reference.torque) and not fill:
+            reference.torque[:-1] = reference.torque[1:].copy()
+            reference.torque[at - 1 :] = 0.0 if torque is None else torque
+        elif len(reference.torque):
+            reference.torque[:] = 0.0
+
+    def look(self) -> np.ndarray:
+        """Observe the present state and the window; ``observation``, ``(1, size)``."""
+        self.frame[:] = NOW
+        self._run(self._target_chunk, self._chunks, self._all)
+        self._observe(self._all)
+        return self.observation

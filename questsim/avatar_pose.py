@@ -1,0 +1,45 @@
+"""One moment of the avatar, as a live follower gives it and exports take it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class AvatarPose:
+    """The avatar in one moment, in our convention and in the space of the user's devices.
+
+    Attributes:
+        time_s: the moment it is of, on the devices' clock; earlier than the newest device frame by
+            the follower's ``latency_s``.
+        height_m: the avatar's stature.
+        root_position: ``(3,)`` of the pelvis in metres.
+        root_quat: ``(4,)`` wxyz.
+        joint_angles: ``(33,)`` rad, in the order of ``skeleton.DOFS``.
+        link_position: ``(16, 3)`` link origins in metres, in the order of ``skeleton.LINKS``.
+        link_quat: ``(16, 4)`` link orientations wxyz.
+        contact_force: ``(2, 3)`` force in N of the ground on the left and the right foot; zero
+            without physics.
+        assist_force: ``(3,)`` force in N on the root from the assist; zero while it is not used.
+        assist_torque: ``(3,)`` torque in N m, likewise.
+        events: what happened since the pose before, in words; empty as a rule.
+    """
+
+    time_s: float
+    height_m: float
+    root_position: np.ndarray
+    root_quat: np.ndarray
+    joint_angles: np.ndarray
+    link_position: np.ndarray
+    link_quat: np.ndarray
+    contact_force: np.ndarray
+    assist_force: np.ndarray
+    assist_torque: np.ndarray
+    events: tuple[str, ...] = ()
+
+    @property
+    def qpos(self) -> np.ndarray:
+        """``(40,)`` root position, root quaternion and joint angles: MuJoCo's pose."""
+        return np.concatenate([self.root_position, self.root_quat, self.joint_angles])

@@ -1,0 +1,209 @@
+"""One moment of a user's devices, and the coordinate conventions of the programs that report it.
+
+Inside the project everything is right-handed with x forward, y left and z up, in metres, with
+quaternions wxyz. ``DeviceFrame.of`` converts what a headset, a game engine or a log file says;
+``from_ours`` converts results for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from questsim import rotations as rot
+from questsim.errors import InputError
+from questsim.sensors import DEVICES
+
+MAX_DISTANCE_M = 1000.0
+"""Positions further from the origin than this are refused."""
+UNIT_TOLERANCE = 1e-2
+
+
+@dataclass(frozen=True)
+class Convention:
+    """Axes, unit and order of quaternions of another program.
+
+    Attributes:
+        axes: ``(3, 3)`` its axes in ours, as columns: what is ``p`` there is ``axes @ p`` here.
+        unit_m: metres of its unit of length.
+        scalar_first: whether its quaternions are wxyz; otherwise xyzw.
+    """
+
+    axes: tuple[tuple[float, float, float], ...]
+    unit_m: float = 1.0
+    scalar_first: bool = False
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """``axes`` as an array."""
+        return np.array(self.axes)
+
+
+_OPENXR = ((0.0, 0.0, -1.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+CONVENTIONS: dict[str, Convention] = {
+    # Right-handed, x forward, y left, z up.
+    "questsim": Convention(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), 1.0, True),
+    # Right-handed, x right, y up, z back; WebXR has the same.
+    "openxr": Convention(_OPENXR),
+    # OpenVR: the axes of OpenXR. Its own poses are 3 x 4 matrices, which every convention takes.
+    "steamvr": Convention(_OPENXR),
+    # Left-handed, x right, y up, z forward.
+    "unity": Convention(((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0))),
+    # Left-handed, x forward, y right, z up, centimetres.
+    "unreal": Convention(((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)), 0.01),
+}
+"""By name: ``questsim``, ``openxr``, ``steamvr``, ``unity``, ``unreal``."""
+
+
+class DevicePose(NamedTuple):
+    """Where a device is, in our convention.
+
+    Attributes:
+        position: ``(3,)`` metres.
+        quat: ``(4,)`` unit quaternion wxyz. A device's own axes follow the convention as the
+            world's do: a headset that looks ahead has the identity.
+    """
+
+    position: np.ndarray
+    quat: np.ndarray
+
+
+@dataclass(frozen=True)
+class DeviceFrame:
+    """One moment of a stream of devices, in our convention.
+
+    Attributes:
+        time_s: seconds on any clock that only goes forward, e.g. the predicted display time.
+        poses: devices of ``sensors.DEVICES`` that report in this moment. One that is asleep, or
+            has lost tracking, is left out.
+    """
+
+    time_s: float
+    poses: Mapping[str, DevicePose]
+
+    @staticmethod
+    def of(
+        time_s: float,
+        poses: Mapping[str, Sequence[float] | np.ndarray | None],
+        convention: str = "questsim",
+    ) -> DeviceFrame:
+        """A frame of what another program reports.
+
+        Args:
+            time_s: seconds.
+            poses: by device; None for one that does not report. Either 7 numbers, position x y z
+                and quaternion (wxyz in ``questsim``, xyzw elsewhere), or a matrix ``(3, 4)`` or
+                ``(4, 4)``, rotation beside position.
+            convention: one of ``CONVENTIONS``.
+
+        Raises:
+            InputError: unknown device or convention, wrong shape, numbers that are not finite or
+                too large, a quaternion or matrix that is no rotation. Names the device.
+        """
+        told = convention_named(convention)
+        time_s = _time(time_s)
+        out = {}
+        for name, value in poses.items():
+            if name not in DEVICES:
+                known = ", ".join(DEVICES)
+                raise InputError(f"unknown device {name!r}", "device frame", f"known are {known}")
+            if value is not None:
+                out[name] = _read_pose(value, told, name)
+        return DeviceFrame(time_s, out)
+
+
+def convention_named(name: str) -> Convention:
+    """The convention of a name.
+
+    Raises:
+        InputError: there is none.
+    """
+    if name not in CONVENTIONS:
+        known = ", ".join(CONVENTIONS)
+        raise InputError(f"unknown convention {name!r}", fix=f"choose from {known}")
+    return CONVENTIONS[name]
+
+
+def to_ours(
+    position: np.ndarray, quat: np.ndarray, convention: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions ``(..., 3)`` and quaternions ``(..., 4)`` of a convention, in ours.
+
+    Quaternions come in the convention's order and leave as wxyz.
+    """
+    told = convention_named(convention)
+    quat = np.asarray(quat, float)
+    if not told.scalar_first:
+        quat = quat[..., [3, 0, 1, 2]]
+    axes = told.matrix
+    # A change of handedness reverses turns: their axes are pseudovectors.
+    turned = np.linalg.det(axes) * quat[..., 1:] @ axes.T
+    position = told.unit_m * (np.asarray(position, float) @ axes.T)
+    return position, np.concatenate([quat[..., :1], turned], axis=-1)
+
+
+def from_ours(
+    position: np.ndarray, quat: np.ndarray, convention: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions ``(..., 3)`` in metres and quaternions wxyz ``(..., 4)`` in a convention.
+
+    Positions leave in its unit, quaternions in its order; the inverse of ``to_ours``.
+    """
+    told = convention_named(convention)
+    quat, axes = np.asarray(quat, float), told.matrix
+    turned = np.linalg.det(axes) * quat[..., 1:] @ axes
+    out = np.concatenate([quat[..., :1], turned], axis=-1)
+    if not told.scalar_first:
+        out = out[..., [1, 2, 3, 0]]
+    return np.asarray(position, float) @ axes / told.unit_m, out
+
+
+def _time(value: float) -> float:
+    try:
+        time_s = float(value)
+    except (TypeError, ValueError):
+        time_s = np.nan
+    if not np.isfinite(time_s):
+        raise InputError(f"time {value!r} is not a finite number", "device frame")
+    return time_s
+
+
+def _read_pose(
+    value: Sequence[float] | np.ndarray, convention: Convention, name: str
+) -> DevicePose:
+    try:
+        numbers = np.asarray(value, float)
+    except (TypeError, ValueError):
+        raise InputError(f"pose of {name} is not made of numbers", "device frame") from None
+    if numbers.shape not in ((7,), (3, 4), (4, 4)):
+        raise InputError(
+            f"pose of {name} has shape {numbers.shape}",
+            "device frame",
+            "give 7 numbers or a 3 x 4 matrix",
+        )
+    if not np.isfinite(numbers).all():
+        raise InputError(f"pose of {name} is not finite", "device frame", "leave the device out")
+    axes = convention.matrix
+    if numbers.shape == (7,):
+        place, quat = numbers[:3], numbers[3:]
+        length = float(np.linalg.norm(quat))
+        if abs(length - 1.0) > UNIT_TOLERANCE:
+            raise InputError(f"quaternion of {name} has length {length:.3g}, not 1", "device frame")
+        if not convention.scalar_first:
+            quat = quat[[3, 0, 1, 2]]
+        turned = np.linalg.det(axes) * (axes @ quat[1:])
+        quat = np.concatenate([quat[:1], turned]) / length
+    else:
+        place, turn = numbers[:3, 3], numbers[:3, :3]
+        if np.abs(turn @ turn.T - np.eye(3)).max() > UNIT_TOLERANCE or np.linalg.det(turn) < 0:
+            raise InputError(f"matrix of {name} is no rotation", "device frame")
+        quat = rot.matrix_to_quat(axes @ turn @ axes.T)
+    position = convention.unit_m * (axes @ place)
+    if np.abs(position).max() > MAX_DISTANCE_M:
+        raise InputError(
+            f"{name} is further than {MAX_DISTANCE_M:g} m from the origin", "device frame"
+        )
+    return DevicePose(position, quat)
