@@ -16,6 +16,17 @@ from mujoco import batch as mujoco_batch
 from envs import footing, kernels
 from envs.config import EnvConfig
 from envs.footed_clip import footed_clip
+from envs.kernel_arguments import (
+    Devices,
+    Episodes,
+    Privileged,
+    ReferencePoses,
+    ReferenceRows,
+    Scores,
+    State,
+    Target,
+    ground_of,
+)
 from envs.layout import SCAN_POINTS, observation_layout, observation_size
 from envs.placement import turn_quat, turned
 from envs.randomisation import varied_models
@@ -52,8 +63,10 @@ _EPISODE = ("clip", "frame", "_first", "_end", "contact_force", "_previous_force
 class _View(NamedTuple):
     """A reference, what it asks for now, and what is observed of it."""
 
-    reference: Reference
-    target: footing.Target
+    poses: ReferencePoses
+    rows: ReferenceRows
+    devices: Devices
+    target: Target
     observation: np.ndarray
 
 
@@ -111,41 +124,53 @@ class BatchSim:
         self._around = Surroundings(self.config, self.reference, self._ratio, self.batch, seed)
         self.placement, self.pusher = self._around.placement, self._around.pusher
         self.objects, self.signals = self._around.objects, self._around.signals
-        field = self.placement.field
-        self._surface = np.zeros((1, 1)) if field is None else field.height
-        self._ground = np.zeros((1, 1)) if field is None else field.ground
-        self._grid = np.array([0.0, 0.0, 1.0] if field is None else [*field.origin, field.cell_m])
-        self._user_offsets = np.array(self.config.frame_offsets)
-        self._privileged = np.array(
-            self.config.privileged_frames if self.config.privileged else (), dtype=np.int64
-        )
-        # The pose now; for teachers also the next, halfway to which their springs pull.
-        ahead = (0, 1, *self._privileged.tolist()) if self.config.privileged else (0,)
-        self._ahead, self._legs = np.unique(ahead), footing.legs()
-        self._slots = np.searchsorted(self._ahead, self._privileged)
+        self._ground = ground_of(self.placement.field)
+        self._begin_episodes()
         self._weights, self._kernels = self.config.reward.weights, self.config.reward.kernels
-        self._views = tuple(
-            _View(
-                reference,
-                footing.Target.of(n, len(self._ahead)),
-                np.zeros((n, observation_size(self.layout)), np.float32),
-            )
-            for reference in ((self.reference,) if shown is None else (self.reference, seen))
-        )
+        # The pose now; for teachers also the next, halfway to which their springs pull.
+        shows = self.config.privileged_frames if self.config.privileged else ()
+        self._ahead, self._legs = np.unique((0, 1, *shows) if shows else (0,)), footing.legs()
+        offsets = np.array(shows, np.int64)
+        self._privileged = Privileged(offsets, np.searchsorted(self._ahead, offsets))
+        references = (self.reference,) if shown is None else (self.reference, seen)
+        self._views = tuple(self._view(reference) for reference in references)
         # What is asked of the links: on a terrain, other than what is seen, feet that walk as well.
-        self._target = self._views[0].target if field is None else footing.Target.of(n, 1)
+        level = self.placement.field is None
+        self._target = self._views[0].target if level else Target.of(n, 1)
         self.true_observation = self._views[0].observation
         self.observation = self._views[-1].observation
         self.reward, self.reward_terms = np.zeros(n), np.zeros((n, len(TERMS)))
         self.error = np.zeros(n)
+        self._scores = Scores(self.reward_terms, self.reward, self.error)
         self.fell, self.ended = np.zeros(n, bool), np.zeros(n, bool)
         self.unstable = np.zeros(n, bool)
         self.unstable_count = 0
+
+    def _begin_episodes(self) -> None:
+        """The arrays that every kernel reads: what each simulation plays, and its physics."""
+        n = self.num_envs
         self.clip, self.frame = np.zeros(n, np.int64), np.zeros(n, np.int64)
         self._end, self._first = np.zeros(n, np.int64), np.zeros(n, np.int64)
         self._begin = np.zeros(n, np.int64)
         self.contact_force = np.zeros((n, 2, 3))
         self._previous_force = np.zeros((n, 2))
+        place, height = self.placement.place, self.heights
+        self._episodes = Episodes(self.frame, self._begin, self._end, place, self._ratio, height)
+        self._state = State(
+            self.qpos, self.qvel, self._xpos, self._xquat, self._cvel, self._com, self.contact_force
+        )
+
+    def _view(self, reference: Reference) -> _View:
+        frames, signals = np.array(self.config.frame_offsets), self.signals
+        return _View(
+            reference.poses,
+            reference.rows,
+            Devices(
+                reference.dev_position, reference.dev_quat, signals.late, signals.newest, frames
+            ),
+            Target.of(self.num_envs, len(self._ahead)),
+            np.zeros((self.num_envs, observation_size(self.layout)), np.float32),
+        )
 
     def _reference_shown(
         self, clips: Sequence[Clip], shown: Sequence[Clip], seed: int
@@ -350,7 +375,7 @@ class BatchSim:
         self.reward[self.unstable], self.reward_terms[self.unstable] = 0.0, 0.0
         np.logical_or(self.error > self.config.max_error_m, self.unstable, out=self.fell)
         np.logical_and(self.frame >= self._end - 1, ~self.fell, out=self.ended)
-        self.signals.advance(self.frame + self._user_offsets[-1] - self.signals.late)
+        self.signals.advance(self.frame + self.config.frame_offsets[-1] - self.signals.late)
         self._observe(self._all)
         if self.unstable.any():
             for view in self._views:
@@ -373,35 +398,31 @@ class BatchSim:
                 future.result()
 
     def _target_chunk(self, first: int, last: int, ids: np.ndarray) -> None:
-        for reference, target, _ in self._views:
-            self._fill(first, last, ids, reference, target, self._ahead, walking=0.0)
+        for view in self._views:
+            self._fill(first, last, ids, view.poses, self._ahead, 0.0, view.target)
         if self._target is not self._views[0].target:
-            self._fill(first, last, ids, self.reference, self._target, _NOW, walking=1.0)
+            self._fill(first, last, ids, self._views[0].poses, _NOW, 1.0, self._target)
 
     def _fill(
         self,
         first: int,
         last: int,
         ids: np.ndarray,
-        reference: Reference,
-        target: footing.Target,
+        poses: ReferencePoses,
         ahead: np.ndarray,
         walking: float,
+        target: Target,
     ) -> None:
         footing.fill(
-            first, last, ids, self.frame, self._begin, self._end, ahead, self._ratio,
-            reference.qpos, reference.position, reference.quat, reference.steps,
-            self.placement.place, self._surface, self._ground, self._grid, self._legs, walking,
-            target.angles, target.position, target.quat, target.rise,
+            first, last, ids, self._episodes, ahead, poses, self._ground, self._legs, walking,
+            target,
         )  # fmt: skip
 
     def _score_chunk(self, first: int, last: int) -> None:
         self._target_chunk(first, last, self._all)
         kernels.score(
-            first, last, self.qpos, self.qvel, self._xpos, self._xquat, self._cvel, self._com,
-            self.contact_force, self._previous_force, self.frame, self._ratio,
-            self.reference.qvel, self.reference.velocity, self._target, self.placement.place,
-            self._kernels, self._weights, self.reward_terms, self.reward, self.error,
+            first, last, self._state, self._previous_force, self._episodes, self._views[0].rows,
+            self._target, self._kernels, self._weights, self._scores,
         )  # fmt: skip
 
     def _observe(self, ids: np.ndarray) -> None:
@@ -409,21 +430,15 @@ class BatchSim:
         self._run(self._observe_chunk, parts, ids)
 
     def _observe_chunk(self, first: int, last: int, ids: np.ndarray) -> None:
-        for reference, target, observation in self._views:
+        for view in self._views:
             kernels.observe(
-                first, last, ids, self.qpos, self.qvel, self._xpos, self._xquat, self._cvel,
-                self._com, self.contact_force, self.frame, self._begin, self._end, self._ratio,
-                self.heights, reference.qvel, reference.velocity, reference.angular_velocity,
-                reference.torque, target, reference.dev_position, reference.dev_quat,
-                self.signals.late, self.signals.newest, self._user_offsets, self._privileged,
-                self._slots, self.placement.place, self._ground, self._grid, self._floor,
-                observation,
+                first, last, ids, self._state, self._episodes, view.rows, view.target,
+                view.devices, self._privileged, self._ground, self._floor, view.observation,
             )  # fmt: skip
             if "height_scan" in self.layout:
-                column = self.layout["height_scan"].start
                 kernels.scan(
-                    first, last, ids, self.qpos, SCAN_POINTS, self._surface, self._grid,
-                    self._floor, column, observation,
+                    first, last, ids, self._state, SCAN_POINTS, self._ground, self._floor,
+                    self.layout["height_scan"].start, view.observation,
                 )  # fmt: skip
 
     def seed(self, seed: int) -> None:

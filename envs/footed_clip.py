@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from envs.footing import Target, fill, legs
+from envs.footing import fill, legs
 from envs.footsteps import footsteps_of
+from envs.kernel_arguments import Episodes, ReferencePoses, Target, ground_of
 from envs.placement import turn_quat, turned
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
@@ -29,13 +30,19 @@ def footed_clip(clip: Clip, place: np.ndarray, field: HeightField | None) -> Cli
     common = clip.scaled(DEFAULT_HEIGHT_M)
     target, rows = Target.of(frames, 1), np.arange(frames)
     many = np.broadcast_to(place, (frames, 4)).copy()
-    fill(
-        0, frames, rows, rows, np.zeros(frames, np.int64), np.full(frames, frames),
-        np.zeros(1, np.int64), np.full(frames, clip.height_m / DEFAULT_HEIGHT_M),
-        common.qpos, common.link_position, common.link_quat, footsteps_of([common]),
-        many, field.height, field.ground, np.array([*field.origin, field.cell_m]), legs(), 1.0,
-        target.angles, target.position, target.quat, target.rise,
-    )  # fmt: skip
+    episodes = Episodes(
+        frame=rows,
+        begin=np.zeros(frames, np.int64),
+        end=np.full(frames, frames),
+        place=many,
+        ratio=np.full(frames, clip.height_m / DEFAULT_HEIGHT_M),
+        height=np.full(frames, clip.height_m),
+    )
+    poses = ReferencePoses(
+        common.qpos, common.link_position, common.link_quat, footsteps_of([common])
+    )
+    now = np.zeros(1, np.int64)
+    fill(0, frames, rows, episodes, now, poses, ground_of(field), legs(), 1.0, target)
     turn = turn_quat(many)
     position, rise = target.position[:, 0], target.rise[:, 0].copy()
     rise[0] = rise[1] if frames > 1 else 0.0

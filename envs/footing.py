@@ -2,8 +2,8 @@
 
 A clip is recorded on a level floor. Where it is played in the world it is lifted by the ground
 under the pelvis. A foot that stands is lifted by and turned with the ground where it stands, one
-that swings goes over from one stance to the next (``steps.py``) and above what is in between; the
-leg bends or stretches in the plane it had (the law of cosines). A pelvis from which a standing
+that swings goes over from one stance to the next (``footsteps.py``) and above what is in between;
+the leg bends or stretches in the plane it had (the law of cosines). A pelvis from which a standing
 foot could not reach its ground is lowered. On a plane, or level ground, nothing changes.
 """
 
@@ -15,12 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from envs.kernel_arguments import Episodes, Ground, ReferencePoses, Target
 from envs.lookups import ground_at, height_at, placed
 from questsim.body import build_body
 from questsim.compiled import jit
 from questsim.motion.clip import FPS
 from questsim.motion.kinematics import link_offsets, sole_points
-from questsim.skeleton import DOFS, LINKS, NUM_DOFS, NUM_LINKS
+from questsim.skeleton import DOFS, LINKS
 
 CLEARANCE_M = 0.01
 """A foot swings by this much over what is in its way."""
@@ -48,33 +49,6 @@ class Legs(NamedTuple):
     length: np.ndarray
     soles: np.ndarray
     range: np.ndarray
-
-
-class Target(NamedTuple):
-    """What ``n`` simulations are asked to do in ``k`` frames, in the world.
-
-    Attributes:
-        angles: ``(n, k, 33)`` rad.
-        position: ``(n, k, 16, 3)`` of the links in metres, in the world.
-        quat: ``(n, k, 16, 4)`` of the links, as the clip has them before it is turned to its place.
-        rise: ``(n, k, 16)`` what the ground adds to the links' vertical velocity in m/s.
-    """
-
-    angles: np.ndarray
-    position: np.ndarray
-    quat: np.ndarray
-    rise: np.ndarray
-
-    @staticmethod
-    def of(simulations: int, frames: int) -> Target:
-        """Room for that many."""
-        shape = (simulations, frames)
-        return Target(
-            np.zeros((*shape, NUM_DOFS)),
-            np.zeros((*shape, NUM_LINKS, 3)),
-            np.zeros((*shape, NUM_LINKS, 4)),
-            np.zeros((*shape, NUM_LINKS)),
-        )
 
 
 @lru_cache(maxsize=1)
@@ -467,47 +441,55 @@ def _on_feet(
 
 @jit
 def fill(
-    first, last, ids, frame, begin, end, offsets, ratio, ref_qpos, ref_position, ref_quat, steps,
-    place, surface, ground, grid, legs, walking, angles, position, quat, rises,
-):  # fmt: skip
+    first: int,
+    last: int,
+    ids: np.ndarray,
+    episodes: Episodes,
+    offsets: np.ndarray,
+    reference: ReferencePoses,
+    ground: Ground,
+    legs: Legs,
+    walking: float,
+    target: Target,
+) -> None:
     """Fill a ``Target`` of ``ids[first:last]``.
 
     Args:
-        first, last, ids, frame, begin, end, ratio, ref_*, place, ground, grid: as of
-            ``kernels.observe``.
+        first, last, ids, episodes, ground: as of ``kernels.observe``.
         offsets: ``(k,)`` frames ahead.
-        steps: ``Footsteps`` of the reference; empty ones will do on a plane.
-        surface: ``(rows, columns)`` height of what collides, on the grid of ``ground``.
+        reference: poses of all rows.
         legs: of the 1.75 m body.
         walking: 0 to 1, whether feet of who walks are put on the ground as well, or only those of
             who stands.
-        angles, position, quat, rises: the target's fields.
+        target: to fill.
     """
-    level = ground.size == 1
-    ref = (ref_position, ref_quat)
+    level = ground.height.size == 1
+    frame, begin, end, place = episodes.frame, episodes.begin, episodes.end, episodes.place
+    angles, position, quat, rises = target.angles, target.position, target.quat, target.rise
+    qpos, ref = reference.qpos, (reference.position, reference.quat)
     for index in range(first, last):
         i = ids[index]
-        scale = ratio[i]
+        scale = episodes.ratio[i]
         for k in range(offsets.shape[0]):
             row = min(frame[i] + offsets[k], end[i] - 1)
             before = max(row - 1, begin[i])
             for j in range(angles.shape[2]):
-                angles[i, k, j] = ref_qpos[row, 7 + j]
+                angles[i, k, j] = qpos[row, 7 + j]
             for b in range(position.shape[2]):
                 rises[i, k, b] = 0.0
                 for axis in range(3):
-                    position[i, k, b, axis] = ref_position[row, b, axis] * scale
+                    position[i, k, b, axis] = reference.position[row, b, axis] * scale
                 for axis in range(4):
-                    quat[i, k, b, axis] = ref_quat[row, b, axis]
+                    quat[i, k, b, axis] = reference.quat[row, b, axis]
             lift, rise = 0.0, 0.0
             if not level:
-                x, y = placed(place[i], ref_qpos[row, 0] * scale, ref_qpos[row, 1] * scale)
-                lift = ground_at(ground, grid, x, y)
-                x, y = placed(place[i], ref_qpos[before, 0] * scale, ref_qpos[before, 1] * scale)
-                rise = FPS * (lift - ground_at(ground, grid, x, y))
+                x, y = placed(place[i], qpos[row, 0] * scale, qpos[row, 1] * scale)
+                lift = ground_at(ground.height, ground.grid, x, y)
+                x, y = placed(place[i], qpos[before, 0] * scale, qpos[before, 1] * scale)
+                rise = FPS * (lift - ground_at(ground.height, ground.grid, x, y))
                 _on_feet(
-                    row, place[i], surface, grid, legs, scale, lift, rise, walking, steps, ref,
-                    angles[i, k], position[i, k], quat[i, k], rises[i, k],
+                    row, place[i], ground.surface, ground.grid, legs, scale, lift, rise, walking,
+                    reference.steps, ref, angles[i, k], position[i, k], quat[i, k], rises[i, k],
                 )  # fmt: skip
             for b in range(position.shape[2]):
                 x, y = placed(place[i], position[i, k, b, 0], position[i, k, b, 1])

@@ -12,6 +12,16 @@ from itertools import pairwise
 
 import numpy as np
 
+from envs.kernel_arguments import (
+    Devices,
+    Episodes,
+    Ground,
+    Privileged,
+    ReferenceRows,
+    Scores,
+    State,
+    Target,
+)
 from envs.lookups import ground_at, heading, height_at, placed, turned, unplaced
 from questsim.compiled import jit, turn_back
 
@@ -39,43 +49,43 @@ def _turn_between(c, s, p, q, out, at):
 
 @jit
 def observe(
-    first, last, ids, qpos, qvel, xpos, xquat, cvel, com, force, frame, begin, end, ratio, height,
-    ref_qvel, ref_velocity, ref_angular_velocity, ref_torque, target, dev_position, dev_quat, late,
-    newest, offsets, privileged, slots, place, ground, grid, floor, obs,
-):  # fmt: skip
+    first: int,
+    last: int,
+    ids: np.ndarray,
+    state: State,
+    episodes: Episodes,
+    reference: ReferenceRows,
+    target: Target,
+    devices: Devices,
+    privileged: Privileged,
+    ground: Ground,
+    floor: np.ndarray,
+    obs: np.ndarray,
+) -> None:
     """Fill ``obs[ids[first:last]]``.
 
     Args:
         first, last: the part of ``ids`` this call works on.
         ids: simulations ``(m,)``.
-        qpos ... com: bound fields of the batch, ``(n, ...)``; ``com`` is ``subtree_com``.
-        force: ``(n, 2, 3)`` force of the floor on each foot, world, N.
-        frame, begin, end: ``(n,)`` reference row now, the clip's first, one past its last.
-        ratio: ``(n,)`` body height over 1.75 m; reference lengths are of the 1.75 m body.
-        height: ``(n,)`` metres.
-        ref_*, dev_*: reference rows of all clips, one after the other; ``ref_torque`` is empty
-            where nothing is privileged.
-        target: where the reference asks the links to be, a ``footing.Target`` of this frame, the
-            next and those of ``privileged``.
-        late: ``(n,)`` frames by which the devices are late.
-        newest: ``(n, devices)`` the last row that each device can show.
-        offsets: ``(k,)`` frames ahead of each block of o_user.
-        privileged: ``(p,)`` frames ahead of each privileged block.
-        slots: ``(p,)`` their places in the target.
-        place: ``(n, 4)`` where each clip is played: x, y, cosine and sine of its turn.
-        ground: ``(rows, columns)`` height of the floor on a grid, or one number for a plane.
-        grid: x and y of the grid's first point, and its distance of points.
+        state, episodes, reference, devices, privileged, ground: see ``kernel_arguments``.
+        target: where the reference asks the links to be in this frame, the next and those of
+            ``privileged``.
         floor: ``(n,)`` takes the height of the floor below the root, metres.
         obs: ``(n, size)`` float32.
     """
-    links = ref_velocity.shape[1]
-    dofs = ref_qvel.shape[1] - 6
-    devices = dev_position.shape[1]
+    qpos, qvel, xpos, xquat = state.qpos, state.qvel, state.xpos, state.xquat
+    cvel, com, force = state.cvel, state.com, state.foot_force
+    frame, begin, end, place = episodes.frame, episodes.begin, episodes.end, episodes.place
+    velocity, angular_velocity = reference.velocity, reference.angular_velocity
+    dev_position = devices.position
+    links = reference.velocity.shape[1]
+    dofs = reference.qvel.shape[1] - 6
+    count = devices.position.shape[1]
     for index in range(first, last):
         i = ids[index]
         out = obs[i]
         root_x, root_y = qpos[i, 0], qpos[i, 1]
-        below = ground_at(ground, grid, root_x, root_y)
+        below = ground_at(ground.height, ground.grid, root_x, root_y)
         floor[i] = below
         c, s = heading(qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6])
         # The heading as the clip sees it, before it was turned to its place.
@@ -106,29 +116,31 @@ def observe(
         for foot in range(2):
             turn_back(c, s, force[i, foot, 0], force[i, foot, 1], force[i, foot, 2], out, at)
             at += 3
-        scale = ratio[i]
-        for k in range(offsets.shape[0]):
-            shown = max(min(frame[i] + offsets[k] - late[i], end[i] - 1), begin[i])
-            for d in range(devices):
-                row = min(shown, newest[i, d])
+        scale = episodes.ratio[i]
+        for k in range(devices.offsets.shape[0]):
+            shown = max(min(frame[i] + devices.offsets[k] - devices.late[i], end[i] - 1), begin[i])
+            for d in range(count):
+                row = min(shown, devices.newest[i, d])
                 x, y = placed(
-                    place[i], dev_position[row, d, 0] * scale, dev_position[row, d, 1] * scale
+                    place[i],
+                    dev_position[row, d, 0] * scale,
+                    dev_position[row, d, 1] * scale,
                 )
                 # Devices keep their height above the user's own floor.
                 z = dev_position[row, d, 2] * scale
                 turn_back(c, s, x - root_x, y - root_y, z, out, at)
                 _columns(
-                    clip_c, clip_s, dev_quat[row, d, 0], dev_quat[row, d, 1],
-                    dev_quat[row, d, 2], dev_quat[row, d, 3], out, at + 3,
+                    clip_c, clip_s, devices.quat[row, d, 0], devices.quat[row, d, 1],
+                    devices.quat[row, d, 2], devices.quat[row, d, 3], out, at + 3,
                 )  # fmt: skip
                 at += 9
-        out[at] = height[i]
+        out[at] = episodes.height[i]
         at += 1
-        for k in range(privileged.shape[0]):
-            row, slot = min(frame[i] + privileged[k], end[i] - 1), slots[k]
+        for k in range(privileged.offsets.shape[0]):
+            row, slot = min(frame[i] + privileged.offsets[k], end[i] - 1), privileged.slots[k]
             for j in range(dofs):
                 out[at] = target.angles[i, slot, j]
-                out[at + dofs] = ref_qvel[row, 6 + j]
+                out[at + dofs] = reference.qvel[row, 6 + j]
                 at += 1
             at += dofs
             for b in range(links):
@@ -142,12 +154,12 @@ def observe(
                     out, at + 3 * links + 6 * b,
                 )  # fmt: skip
             at += 9 * links
-        if privileged.shape[0] > 0:
+        if privileged.offsets.shape[0] > 0:
             row, after = frame[i], min(frame[i] + 1, end[i] - 1)
             for j in range(dofs):
                 out[at + j] = 0.5 * (target.angles[i, 0, j] + target.angles[i, 1, j])
                 # Of limits that grow as s^3; what gravity asks of a body grows as s^4.
-                torque = 0.5 * (ref_torque[row, j] + ref_torque[after, j])
+                torque = 0.5 * (reference.torque[row, j] + reference.torque[after, j])
                 out[at + dofs + j] = scale * torque
             at += 2 * dofs
             for b in range(links):
@@ -161,21 +173,25 @@ def observe(
                 wx, wy, wz = cvel[i, b + 1, 0], cvel[i, b + 1, 1], cvel[i, b + 1, 2]
                 rx, ry, rz = x - com_x, y - com_y, z - com_z
                 ref_x, ref_y = turned(
-                    place[i], ref_velocity[row, b, 0] * scale, ref_velocity[row, b, 1] * scale
+                    place[i],
+                    velocity[row, b, 0] * scale,
+                    velocity[row, b, 1] * scale,
                 )
                 turn_back(
                     c, s,
                     ref_x - (cvel[i, b + 1, 3] + wy * rz - wz * ry),
                     ref_y - (cvel[i, b + 1, 4] + wz * rx - wx * rz),
-                    ref_velocity[row, b, 2] * scale + target.rise[i, 0, b]
+                    velocity[row, b, 2] * scale + target.rise[i, 0, b]
                     - (cvel[i, b + 1, 5] + wx * ry - wy * rx),
                     out, at + 6,
                 )  # fmt: skip
                 ref_x, ref_y = turned(
-                    place[i], ref_angular_velocity[row, b, 0], ref_angular_velocity[row, b, 1]
+                    place[i],
+                    angular_velocity[row, b, 0],
+                    angular_velocity[row, b, 1],
                 )
                 turn_back(
-                    c, s, ref_x - wx, ref_y - wy, ref_angular_velocity[row, b, 2] - wz,
+                    c, s, ref_x - wx, ref_y - wy, angular_velocity[row, b, 2] - wz,
                     out, at + 9,
                 )  # fmt: skip
                 at += 12
@@ -183,24 +199,40 @@ def observe(
 
 @jit
 def score(
-    first, last, qpos, qvel, xpos, xquat, cvel, com, force, previous_force, frame, ratio,
-    ref_qvel, ref_velocity, target, place, kernels, weights, terms, reward, error,
-):  # fmt: skip
-    """Fill ``terms`` ``(n, 6)``, ``reward`` ``(n,)`` and mean link ``error`` ``(n,)`` in metres.
+    first: int,
+    last: int,
+    state: State,
+    previous_force: np.ndarray,
+    episodes: Episodes,
+    reference: ReferenceRows,
+    target: Target,
+    kernels: np.ndarray,
+    weights: np.ndarray,
+    scores: Scores,
+) -> None:
+    """Fill ``scores`` of simulations ``first`` to ``last``.
 
-    ``frame`` is the reference row of the new state, and the first of ``target`` what it asks for;
-    see ``observe`` for the rest.
+    Args:
+        first, last, state, reference: as of ``observe``.
+        previous_force: ``(n, 2)`` vertical force on each foot one step earlier, N.
+        episodes: whose ``frame`` is the reference row of the new state.
+        target: whose first frame is what the reference asks for.
+        kernels, weights: ``(6,)`` of the terms, see ``questsim.reward``.
+        scores: to fill.
     """
-    links = ref_velocity.shape[1]
-    dofs = ref_qvel.shape[1] - 6
+    qpos, qvel, xpos, xquat = state.qpos, state.qvel, state.xpos, state.xquat
+    cvel, com, force = state.cvel, state.com, state.foot_force
+    place, terms, velocity = episodes.place, scores.terms, reference.velocity
+    links = reference.velocity.shape[1]
+    dofs = reference.qvel.shape[1] - 6
     for i in range(first, last):
-        row, scale = frame[i], ratio[i]
+        row, scale = episodes.frame[i], episodes.ratio[i]
         angles = 0.0
         velocities = 0.0
         for j in range(dofs):
             difference = qpos[i, 7 + j] - target.angles[i, 0, j]
             angles += difference * difference
-            difference = qvel[i, 6 + j] - ref_qvel[row, 6 + j]
+            difference = qvel[i, 6 + j] - reference.qvel[row, 6 + j]
             velocities += difference * difference
         squared = 0.0
         speed = 0.0
@@ -222,12 +254,14 @@ def score(
             wx, wy, wz = cvel[i, b + 1, 0], cvel[i, b + 1, 1], cvel[i, b + 1, 2]
             rx, ry, rz = x - com[i, 1, 0], y - com[i, 1, 1], z - com[i, 1, 2]
             ref_x, ref_y = turned(
-                place[i], ref_velocity[row, b, 0] * scale, ref_velocity[row, b, 1] * scale
+                place[i],
+                velocity[row, b, 0] * scale,
+                velocity[row, b, 1] * scale,
             )
             dx = cvel[i, b + 1, 3] + wy * rz - wz * ry - ref_x
             dy = cvel[i, b + 1, 4] + wz * rx - wx * rz - ref_y
             dz = cvel[i, b + 1, 5] + wx * ry - wy * rx
-            dz -= ref_velocity[row, b, 2] * scale + target.rise[i, 0, b]
+            dz -= velocity[row, b, 2] * scale + target.rise[i, 0, b]
             speed += dx * dx + dy * dy + dz * dz
         drop = 0.0
         for foot in range(2):
@@ -241,27 +275,37 @@ def score(
         total = 0.0
         for t in range(terms.shape[1]):
             total += weights[t] * terms[i, t]
-        reward[i] = total
-        error[i] = distance / links
+        scores.reward[i] = total
+        scores.error[i] = distance / links
 
 
 @jit
-def scan(first, last, ids, qpos, points, height, grid, floor, column, obs):
+def scan(
+    first: int,
+    last: int,
+    ids: np.ndarray,
+    state: State,
+    points: np.ndarray,
+    ground: Ground,
+    floor: np.ndarray,
+    column: int,
+    obs: np.ndarray,
+) -> None:
     """Fill ``obs[ids[first:last], column:]`` with the surface around the avatar.
 
     Args:
-        first, last, ids, qpos, grid, floor, obs: as of ``observe``, which fills ``floor``.
+        first, last, ids, state, ground, floor, obs: as of ``observe``, which fills ``floor``.
         points: ``(k, 2)`` places in S, metres.
-        height: ``(rows, columns)`` of the surface on a grid, or one number for a plane.
         column: of the first of ``k`` heights above the floor below the root, metres.
     """
+    qpos = state.qpos
     for index in range(first, last):
         i = ids[index]
         c, s = heading(qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6])
         for k in range(points.shape[0]):
             x = qpos[i, 0] + c * points[k, 0] - s * points[k, 1]
             y = qpos[i, 1] + s * points[k, 0] + c * points[k, 1]
-            obs[i, column + k] = height_at(height, grid, x, y) - floor[i]
+            obs[i, column + k] = height_at(ground.surface, ground.grid, x, y) - floor[i]
 
 
 def chunks(count: int, parts: int) -> list[tuple[int, int]]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from envs.config import EnvConfig
 from envs.footsteps import Footsteps, footsteps_of
+from envs.kernel_arguments import ReferencePoses, ReferenceRows
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
@@ -48,6 +49,16 @@ class Reference:
     steps: Footsteps
     dev_position: np.ndarray
     dev_quat: np.ndarray
+
+    @property
+    def poses(self) -> ReferencePoses:
+        """What ``footing.fill`` reads."""
+        return ReferencePoses(self.qpos, self.position, self.quat, self.steps)
+
+    @property
+    def rows(self) -> ReferenceRows:
+        """What the kernels of observation and reward read."""
+        return ReferenceRows(self.qvel, self.velocity, self.angular_velocity, self.torque)
 
     @staticmethod
     def of(clips: Sequence[Clip], config: EnvConfig, seed: int) -> Reference:

@@ -1,16 +1,103 @@
-"""What compiled loops share: how they are compiled, and a vector seen from a heading.
+"""How loops are compiled and kept on disk, and what several of them share.
 
-Numba keeps compiled functions on disk by the file that they stand in. After a change of a function
-here that others call from their files, remove ``__pycache__``.
+Numba keeps a compiled function in ``__pycache__`` under the date of the file that defines it. A
+compiled function also contains the code of those that it calls, the order of the fields of its
+arguments' records, and the values of constants, all of which may come from other modules. ``jit``
+therefore adds the content of those to what numba compares: after any edit, loops that contain
+the edited code compile again by themselves.
 """
 
 from __future__ import annotations
 
+import hashlib
+import sys
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
+from numba.core import caching
 
-jit: Any = numba.njit(cache=True, nogil=True, error_model="numpy")
+
+def jit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile a loop when it is first called, and keep it until its code changes.
+
+    Args:
+        function: the loop; None to decorate with options.
+        **options: of ``numba.njit`` beside the project's: no GIL, numpy's error model.
+    """
+    if function is None:
+        return lambda decorated: jit(decorated, **options)
+    compiled: Any = numba.njit(nogil=True, error_model="numpy", **options)(function)
+    compiled._cache = _Cache(function)
+    return compiled
+
+
+def inlined_code(function: Callable[..., Any]) -> str:
+    """SHA-256 of what other modules put into a compiled function.
+
+    That is the files of the modules whose compiled functions, or whose NamedTuples, the function's
+    module imports, those of their modules in turn, and the constants that any of them holds.
+
+    Args:
+        function: before it is compiled; its module's imports have run.
+    """
+    digest, todo, seen = hashlib.sha256(), [function.__module__], set()
+    while todo:
+        name = todo.pop(0)
+        if name in seen:
+            continue
+        seen.add(name)
+        own = function.__globals__ if name == function.__module__ else vars(sys.modules[name])
+        if name != function.__module__:  # numba itself looks at the function's own file
+            digest.update(Path(str(own["__file__"])).read_bytes())
+        for key, value in sorted(own.items()):
+            if _is_constant(key, value):
+                digest.update(f"{key}={value!r}".encode())
+            elif isinstance(value, np.ndarray):
+                digest.update(key.encode() + value.tobytes())
+            elif _is_compiled(value) or _is_record(value):
+                todo.append(value.__module__)
+    return digest.hexdigest()
+
+
+def _is_constant(key: str, value: Any) -> bool:
+    return isinstance(value, int | float | str | tuple) and not key.startswith("__")
+
+
+def _is_compiled(value: Any) -> bool:
+    return hasattr(value, "py_func")
+
+
+def _is_record(value: Any) -> bool:
+    return isinstance(value, type) and issubclass(value, tuple) and hasattr(value, "_fields")
+
+
+class _Stamped:
+    """A place of numba's for cached functions, with ``inlined_code`` in the stamp of the source."""
+
+    _function: Any
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> Any:
+        place = super().from_function(py_func, py_file)  # type: ignore[misc]
+        if place is not None:
+            place._function = py_func
+        return place
+
+    def get_source_stamp(self) -> Any:
+        return super().get_source_stamp(), inlined_code(self._function)  # type: ignore[misc]
+
+
+class _Impl(caching.CompileResultCacheImpl):
+    _locator_classes = [  # noqa: RUF012  the name and type are numba's
+        type(place.__name__, (_Stamped, place), {}) for place in caching.CacheImpl._locator_classes
+    ]
+
+
+class _Cache(caching.FunctionCache):
+    _impl_class = _Impl
 
 
 @jit

@@ -11,19 +11,18 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-import numba
 import numpy as np
 import torch
 from torch import Tensor, nn
+
+from questsim.compiled import jit
 
 MOST_ROWS = 8
 _APART = 16
 """Numbers between rows: a power of two apart, they would drive each other out of the cache."""
 
 # Sums in any order, as matrix products have them; numbers that are not finite stay what they are.
-_jit: Any = numba.njit(
-    cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"}
-)
+_jit: Any = jit(fastmath={"reassoc", "contract", "nsz"})
 _pytorch_alone = False
 
 
