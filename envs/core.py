@@ -39,7 +39,8 @@ from questsim.body import DEFAULT_HEIGHT_M, Body
 from questsim.errors import InputError
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.kinematics import sole_positions
-from questsim.reward import TERMS
+from questsim.reward import COMPILED, Moment, extra_terms
+from questsim.reward import Reference as MomentReference
 from questsim.skeleton import FOOT_LINKS, NUM_DOFS, NUM_LINKS
 
 _CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL.value)
@@ -52,6 +53,7 @@ _UNSTABLE = [
 
 
 _NUM_POSITIONS, _NUM_VELOCITIES = 7 + NUM_DOFS, 6 + NUM_DOFS
+_LINKS = slice(1, 1 + NUM_LINKS)
 
 _SAME_HEIGHT_M = 0.002
 _NOW = np.zeros(1, np.int64)
@@ -87,7 +89,7 @@ class BatchSim:
         layout: slices of an observation by name.
         observation: ``(n, size)`` float32, of the present state.
         true_observation: the same where nothing is ``shown``, else what it would be without.
-        reward: ``(n,)``; reward_terms: ``(n, 6)`` in the order of ``TERMS``.
+        reward: ``(n,)``; reward_terms: ``(n, terms)`` in the order of ``reward_names``.
         error: ``(n,)`` mean distance of the links from the reference in metres.
         fell, ended, unstable: ``(n,)`` bool of the last step: the error passed its limit (or
             the physics failed), the clip ended, the physics was not finite.
@@ -126,7 +128,9 @@ class BatchSim:
         self.objects, self.signals = self._around.objects, self._around.signals
         self._ground = ground_of(self.placement.field)
         self._begin_episodes()
-        self._weights, self._kernels = self.config.reward.weights, self.config.reward.kernels
+        compiled = slice(0, len(COMPILED))
+        reward = self.config.reward
+        self._weights, self._kernels = reward.weights[compiled], reward.kernels[compiled]
         # The pose now; for teachers also the next, halfway to which their springs pull.
         shows = self.config.privileged_frames if self.config.privileged else ()
         self._ahead, self._legs = np.unique((0, 1, *shows) if shows else (0,)), footing.legs()
@@ -139,9 +143,12 @@ class BatchSim:
         self._target = self._views[0].target if level else Target.of(n, 1)
         self.true_observation = self._views[0].observation
         self.observation = self._views[-1].observation
-        self.reward, self.reward_terms = np.zeros(n), np.zeros((n, len(TERMS)))
+        self.reward, compiled_terms = np.zeros(n), np.zeros((n, len(COMPILED)))
+        self.reward_names = reward.terms
+        own = len(self.reward_names) > len(COMPILED)
+        self.reward_terms = np.zeros((n, len(self.reward_names))) if own else compiled_terms
         self.error = np.zeros(n)
-        self._scores = Scores(self.reward_terms, self.reward, self.error)
+        self._scores = Scores(compiled_terms, self.reward, self.error)
         self.fell, self.ended = np.zeros(n, bool), np.zeros(n, bool)
         self.unstable = np.zeros(n, bool)
         self.unstable_count = 0
@@ -233,12 +240,12 @@ class BatchSim:
     @property
     def link_positions(self) -> np.ndarray:
         """``(n, 16, 3)`` world positions of the links in metres."""
-        return self._xpos[:, 1 : 1 + NUM_LINKS]
+        return self._xpos[:, _LINKS]
 
     @property
     def link_quats(self) -> np.ndarray:
         """``(n, 16, 4)`` world orientations of the links, wxyz."""
-        return self._xquat[:, 1 : 1 + NUM_LINKS]
+        return self._xquat[:, _LINKS]
 
     @property
     def joint_angles(self) -> np.ndarray:
@@ -369,6 +376,8 @@ class BatchSim:
         self.frame += 1
         np.minimum(self.frame, self._end - 1, out=self.frame)
         self._run(self._score_chunk, self._chunks)
+        if self.reward_terms is not self._scores.terms:
+            self._add_extra_terms()
         self.unstable[:] = (self.batch.warning[:, _UNSTABLE, 1] > 0).any(axis=1)
         self.unstable |= ~np.isfinite(self.error + self.reward)
         self.unstable_count += int(self.unstable.sum())
@@ -424,6 +433,43 @@ class BatchSim:
             first, last, self._state, self._previous_force, self._episodes, self._views[0].rows,
             self._target, self._kernels, self._weights, self._scores,
         )  # fmt: skip
+
+    def _add_extra_terms(self) -> None:
+        """Terms of the reward that are not compiled; of the whole batch, whatever the threads."""
+        first = len(COMPILED)
+        extra = extra_terms(self.config.reward, self._moment())
+        # Where the physics failed, all earn nothing; elsewhere a term must have a value.
+        wrong = ~np.isfinite(extra) & np.isfinite(self._scores.reward + self.error)[:, None]
+        if wrong.any():
+            name = self.reward_names[first + int(np.flatnonzero(wrong.any(axis=0))[0])]
+            raise ValueError(f"reward term {name!r} is not finite")
+        self.reward_terms[:, :first], self.reward_terms[:, first:] = self._scores.terms, extra
+        self.reward += extra @ self.config.reward.weights[first:]
+
+    def _moment(self) -> Moment:
+        rows, target = self._views[0].rows, self._target
+        now, scale, place = self.frame, self._ratio[:, None, None], self.placement.place
+        arm = self.link_positions - self._com[:, 1:2]
+        velocity = turned(place, rows.velocity[now] * scale)
+        velocity[..., 2] += target.rise[:, 0]
+        return Moment(
+            joint_angles=self.joint_angles,
+            joint_velocities=self.qvel[:, 6:_NUM_VELOCITIES],
+            link_positions=self.link_positions,
+            link_velocities=self._cvel[:, _LINKS, 3:] + np.cross(self._cvel[:, _LINKS, :3], arm),
+            link_quats=self.link_quats,
+            foot_force=self.contact_force[..., 2],
+            previous_foot_force=self._previous_force,
+            torque=self.ctrl,
+            torque_limits=self.torque_limits,
+            reference=MomentReference(
+                joint_angles=target.angles[:, 0],
+                joint_velocities=rows.qvel[now, 6:],
+                link_positions=target.position[:, 0],
+                link_velocities=velocity,
+                link_quats=rot.quat_multiply(turn_quat(place)[:, None], target.quat[:, 0]),
+            ),
+        )
 
     def _observe(self, ids: np.ndarray) -> None:
         parts = self._chunks if len(ids) == self.num_envs else [(0, len(ids))]

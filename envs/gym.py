@@ -15,7 +15,6 @@ from envs.core import BatchSim
 from envs.layout import observation_size
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
-from questsim.reward import TERMS
 from questsim.skeleton import NUM_DOFS
 
 POSE_SIZE = 7 + NUM_DOFS
@@ -117,7 +116,7 @@ class QuestEnv(gym.Env[np.ndarray, np.ndarray]):
         sim = self.sim
         clip = int(sim.clip[0])
         return {
-            **{term: float(sim.reward_terms[0, i]) for i, term in enumerate(TERMS)},
+            **{term: float(sim.reward_terms[0, i]) for i, term in enumerate(sim.reward_names)},
             "error_m": float(sim.error[0]),
             "clip": sim.reference.names[clip],
             "frame": int(sim.frame[0] - sim.reference.start[clip]),
@@ -206,7 +205,7 @@ class QuestVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         sim.step(np.asarray(actions, float))
         fell, ended, reward = sim.fell.copy(), sim.ended.copy(), sim.reward.copy()
         infos: dict[str, Any] = {
-            term: sim.reward_terms[:, i].copy() for i, term in enumerate(TERMS)
+            term: sim.reward_terms[:, i].copy() for i, term in enumerate(sim.reward_names)
         }
         infos |= {
             "error_m": sim.error.copy(),

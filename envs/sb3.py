@@ -15,7 +15,6 @@ from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.layout import observation_size
 from questsim.motion.clip import Clip
-from questsim.reward import TERMS
 from questsim.skeleton import NUM_DOFS
 
 
@@ -25,7 +24,7 @@ class QuestVecEnv(VecEnv):
     ``infos[i]`` is empty but at an episode's end, when it holds ``terminal_observation``,
     ``TimeLimit.truncated``, ``episode`` (``r``, ``l``, ``t``), ``clip``, ``kind``, ``fell`` and
     the mean of each term of the reward by name. The terms of every single step are in
-    ``reward_terms`` ``(n, 6)``.
+    ``reward_terms`` ``(n, terms)``, in the order of ``reward_names``.
 
     Args:
         clips, config, num_envs, seed, num_threads, shown: as of ``BatchSim``.
@@ -51,7 +50,7 @@ class QuestVecEnv(VecEnv):
         self._action = np.zeros((self.sim.num_envs, NUM_DOFS))
         self._return = np.zeros(self.sim.num_envs)
         self._length = np.zeros(self.sim.num_envs, np.int64)
-        self._terms = np.zeros((self.sim.num_envs, len(TERMS)))
+        self._terms = np.zeros_like(self.sim.reward_terms)
         self._began = time.perf_counter()
         self._restored = False
 
@@ -133,7 +132,7 @@ class QuestVecEnv(VecEnv):
                 "clip": sim.reference.names[clip],
                 "kind": sim.reference.kinds[clip],
                 "fell": bool(sim.fell[i]),
-                **dict(zip(TERMS, terms, strict=True)),
+                **dict(zip(sim.reward_names, terms, strict=True)),
             }
         sim.record_ended(ids)
         sim.reset(ids)

@@ -1,65 +1,76 @@
-"""QuestSim's reward: four imitation kernels and a contact term.
+"""The reward: a table of terms, each a pure function of a moment of a batch.
 
 r = w . [r(q), r(qdot), r(x), r(xdot), r_f] with r(s) = exp(-k_s * error), QuestSim section 3.
 The published error is a sum of squares; as k = 40 only makes sense for a mean (0.1 rad a joint,
 summed over 33, would already give exp(-13)), errors here are means over joints or links.
-Each term is a pure function over a batch; the environments' compiled kernel computes the same.
+
+To add a term, write a function ``(moment, k) -> (n,)`` and give it a line in ``TERMS``, or from
+another package ``register_term``; ``docs/examples/new_reward.py`` does. Its weight is an option
+then: ``RewardConfig(NAME=0.1)``, ``train.py --set stages.teacher.reward.NAME=0.1``.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import Field, field, fields, make_dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-TERMS: tuple[str, ...] = (
-    "joint_angles",
-    "joint_velocities",
-    "link_positions",
-    "link_velocities",
-    "contact",
-    "link_orientations",
-)
-"""The reward's terms, in the order of every array of terms and of the weights."""
+from questsim.errors import InputError
 
 
-@dataclass(frozen=True)
-class RewardConfig:
-    """Weights ``w`` and kernel widths ``k`` of the terms.
+class Moment(NamedTuple):
+    """A step of ``n`` simulations, as the terms of the reward see it; all in the world.
 
-    The weights and the kernels of angles, positions and contact are QuestSim's. Its velocity
-    kernels, 0.3 and 2, see nothing but good tracking: joints that are off by 3 rad/s already earn
-    exp(-2.7). The defaults are softer, so that a beginner too is told what is better. The
-    orientations of the links, in the world, are no term of QuestSim's and have no weight by
-    default: they tell a teacher that it turns or leans before its links are far off.
+    Attributes:
+        joint_angles, joint_velocities: ``(n, 33)`` rad, rad/s.
+        link_positions, link_velocities: ``(n, 16, 3)`` m, m/s.
+        link_quats: ``(n, 16, 4)`` wxyz.
+        foot_force: ``(n, 2)`` vertical force of the floor on each foot, N.
+        previous_foot_force: ``(n, 2)`` the same one step earlier.
+        torque: ``(n, 33)`` N m that the joints' motors gave during the step.
+        torque_limits: ``(n, 33)`` N m.
+        reference: what the clip asks for.
     """
 
-    joint_angles: float = 0.4
-    joint_velocities: float = 0.1
-    link_positions: float = 0.2
-    link_velocities: float = 0.1
-    contact: float = 0.2
-    link_orientations: float = 0.0
-    k_joint_angles: float = 40.0
-    k_joint_velocities: float = 0.03
-    k_link_positions: float = 6.0
-    k_link_velocities: float = 0.5
-    k_contact: float = 0.01
-    k_link_orientations: float = 10.0
-
-    @property
-    def weights(self) -> np.ndarray:
-        """``(6,)`` in the order of ``TERMS``."""
-        return np.array([getattr(self, term) for term in TERMS])
-
-    @property
-    def kernels(self) -> np.ndarray:
-        """``(6,)`` in the order of ``TERMS``."""
-        return np.array([getattr(self, f"k_{term}") for term in TERMS])
+    joint_angles: np.ndarray
+    joint_velocities: np.ndarray
+    link_positions: np.ndarray
+    link_velocities: np.ndarray
+    link_quats: np.ndarray
+    foot_force: np.ndarray
+    previous_foot_force: np.ndarray
+    torque: np.ndarray
+    torque_limits: np.ndarray
+    reference: Reference
 
 
-PAPER_REWARD = RewardConfig(k_joint_velocities=0.3, k_link_velocities=2.0)
-"""The published kernels, on means over joints and links."""
+class Reference(NamedTuple):
+    """What the clip asks for in a ``Moment``; fields as there."""
+
+    joint_angles: np.ndarray
+    joint_velocities: np.ndarray
+    link_positions: np.ndarray
+    link_velocities: np.ndarray
+    link_quats: np.ndarray
+
+
+Function = Callable[[Moment, float], np.ndarray]
+
+
+class Term(NamedTuple):
+    """A line of the table.
+
+    Attributes:
+        function: of a ``Moment`` and ``k``: ``(n,)``, which the weight multiplies.
+        weight: by default.
+        k: by default; kernel width, or what else the function makes of it.
+    """
+
+    function: Function
+    weight: float
+    k: float
 
 
 def tracking(simulated: np.ndarray, reference: np.ndarray, k: float) -> np.ndarray:
@@ -96,3 +107,145 @@ def unloading(previous: np.ndarray, force: np.ndarray, k: float) -> np.ndarray:
     Penalises feet that leave the floor abruptly; QuestSim section 3.
     """
     return np.exp(-k * np.sum(np.maximum(0.0, previous - force), axis=-1))
+
+
+TERMS: dict[str, Term] = {
+    "joint_angles": Term(
+        lambda m, k: tracking(m.joint_angles, m.reference.joint_angles, k), 0.4, 40.0
+    ),
+    "joint_velocities": Term(
+        lambda m, k: tracking(m.joint_velocities, m.reference.joint_velocities, k), 0.1, 0.03
+    ),
+    "link_positions": Term(
+        lambda m, k: link_tracking(m.link_positions, m.reference.link_positions, k), 0.2, 6.0
+    ),
+    "link_velocities": Term(
+        lambda m, k: link_tracking(m.link_velocities, m.reference.link_velocities, k), 0.1, 0.5
+    ),
+    "contact": Term(lambda m, k: unloading(m.previous_foot_force, m.foot_force, k), 0.2, 0.01),
+    "link_orientations": Term(
+        lambda m, k: turn_tracking(m.link_quats, m.reference.link_quats, k), 0.0, 10.0
+    ),
+}
+"""Every term by name, with its default weight and k.
+
+The weights and the k of angles, positions and contact are QuestSim's. Its velocity kernels, 0.3
+and 2, only reward good tracking: joints that are off by 3 rad/s already earn exp(-2.7). The
+defaults are softer, so that a beginner is rewarded for progress too. Orientations of the links are
+not a term of QuestSim's; without weight by default, they tell a teacher that it turns or leans
+before its links are far off.
+"""
+
+COMPILED: tuple[str, ...] = tuple(TERMS)
+"""Terms that ``envs.kernels.score`` computes as well, much faster; tests compare the two."""
+
+
+def register_term(
+    name: str, function: Function, weight: float = 0.0, k: float = 1.0
+) -> Function:
+    """Add a term to the table, e.g. from a module that ``QUESTSIM_EXTENSIONS`` names.
+
+    Args:
+        name: a Python identifier; with a weight it is in ``info`` and TensorBoard by this name.
+        function: ``(moment, k) -> (n,)``, pure and finite wherever the physics is.
+        weight, k: defaults.
+
+    Raises:
+        InputError: the name is taken or is no identifier.
+    """
+    if name in TERMS and TERMS[name].function is not function:
+        raise InputError(f"there is a reward term {name!r} already", "register_term", "rename it")
+    if not name.isidentifier() or name.startswith(("k_", "_")):
+        raise InputError(f"{name!r} cannot name a reward term", "register_term")
+    TERMS[name] = Term(function, float(weight), float(k))
+    RewardConfig.__dataclass_fields__ = _options()
+    return function
+
+
+def _options() -> dict[str, Field[Any]]:
+    """Fields of ``RewardConfig``: the weight of every term, then the k of every term."""
+    defaults = {name: term.weight for name, term in TERMS.items()}
+    defaults |= {f"k_{name}": term.k for name, term in TERMS.items()}
+    made = make_dataclass("Options", [(n, float, field(default=d)) for n, d in defaults.items()])
+    return made.__dataclass_fields__
+
+
+class RewardConfig:
+    """Weights and k of the terms: ``RewardConfig(contact=0.0, k_link_positions=60.0)``.
+
+    A frozen dataclass whose fields are those of the table: each term's name for its weight, and
+    ``k_`` before the name for its k. What is not given is the table's.
+
+    Raises:
+        InputError: there is no such term.
+    """
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]] = _options()
+
+    def __init__(self, **options: float) -> None:
+        for name in options:
+            if name not in self.__dataclass_fields__:
+                known = ", ".join(TERMS)
+                raise InputError(f"there is no reward term {name!r}", "reward", f"known: {known}")
+        self.__dict__.update(options)
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> float: ...
+
+    else:
+
+        def __getattr__(self, name: str) -> float:
+            option = type(self).__dataclass_fields__.get(name)
+            if option is None:
+                raise AttributeError(name)
+            return option.default
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"{name} of a RewardConfig cannot change; use dataclasses.replace")
+
+    def _values(self) -> tuple[tuple[str, float], ...]:
+        return tuple((option.name, getattr(self, option.name)) for option in fields(self))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, RewardConfig) and self._values() == other._values()
+
+    def __hash__(self) -> int:
+        return hash(self._values())
+
+    def __repr__(self) -> str:
+        return f"RewardConfig({', '.join(f'{name}={value!r}' for name, value in self._values())})"
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of those that are computed: the compiled ones, and others that have a weight."""
+        return (*COMPILED, *(n for n in TERMS if n not in COMPILED and getattr(self, n) != 0.0))
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Of ``terms``, in their order."""
+        return np.array([getattr(self, term) for term in self.terms])
+
+    @property
+    def kernels(self) -> np.ndarray:
+        """The k of ``terms``, in their order."""
+        return np.array([getattr(self, f"k_{term}") for term in self.terms])
+
+
+PAPER_REWARD = RewardConfig(k_joint_velocities=0.3, k_link_velocities=2.0)
+"""The published kernels, on means over joints and links."""
+
+
+def extra_terms(config: RewardConfig, moment: Moment) -> np.ndarray:
+    """Terms ``(n, e)`` that are not compiled, in the order of ``config.terms``.
+
+    Raises:
+        ValueError: a function's result has another shape.
+    """
+    n, columns = len(moment.torque), []
+    for name in config.terms[len(COMPILED) :]:
+        values = np.asarray(TERMS[name].function(moment, getattr(config, f"k_{name}")), float)
+        if values.shape != (n,):
+            raise ValueError(f"reward term {name!r} gives {values.shape}, not ({n},)")
+        columns.append(values)
+    return np.stack(columns, axis=-1) if columns else np.zeros((n, 0))

@@ -45,7 +45,8 @@ class FakeVecEnv(VecEnv):
         self.frame = np.zeros(num_envs, dtype=int)
         self.phase = np.zeros((num_envs, 1))
         self.episode_return = np.zeros(num_envs)
-        self.reward_terms = np.zeros((num_envs, 6))
+        self.reward_names = tuple(TERMS)
+        self.reward_terms = np.zeros((num_envs, len(TERMS)))
         self.actions = np.zeros((num_envs, NUM_DOFS))
 
     def reference(self, ahead: int) -> np.ndarray:

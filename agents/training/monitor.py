@@ -13,7 +13,6 @@ from rich.progress import BarColumn, Progress, TextColumn
 from stable_baselines3.common.logger import configure
 
 from agents.evaluation.follow import Followed
-from questsim.reward import TERMS
 
 
 class Monitor:
@@ -34,7 +33,7 @@ class Monitor:
     def _begin(self) -> None:
         self._since = time.perf_counter()
         self._steps = 0
-        self._reward, self._terms = 0.0, np.zeros(len(TERMS))
+        self._reward, self._terms = 0.0, np.zeros(self._env.reward_terms.shape[1])
         self._lengths: list[int] = []
         self._ended: Counter[str] = Counter()
         self._fallen: Counter[str] = Counter()
@@ -54,9 +53,9 @@ class Monitor:
         """Write everything since the last call; returns environment steps a second."""
         rate = self._steps / max(time.perf_counter() - self._since, 1e-9)
         self.reward = self._reward / max(self._steps, 1)
-        record = self._logger.record
+        record, names = self._logger.record, self._env.reward_names
         record("rollout/reward", self.reward)
-        for name, value in zip(TERMS, self._terms / max(self._steps, 1), strict=True):
+        for name, value in zip(names, self._terms / max(self._steps, 1), strict=True):
             record(f"reward/{name}", float(value))
         if self._lengths:
             record("rollout/episode_frames", float(np.mean(self._lengths)))
