@@ -437,7 +437,7 @@ class BatchSim:
     def _add_extra_terms(self) -> None:
         """Terms of the reward that are not compiled; of the whole batch, whatever the threads."""
         first = len(COMPILED)
-        extra = extra_terms(self.config.reward, self._moment())
+        extra = extra_terms(self.config.reward, self.moment())
         # Where the physics failed, all earn nothing; elsewhere a term must have a value.
         wrong = ~np.isfinite(extra) & np.isfinite(self._scores.reward + self.error)[:, None]
         if wrong.any():
@@ -446,7 +446,8 @@ class BatchSim:
         self.reward_terms[:, :first], self.reward_terms[:, first:] = self._scores.terms, extra
         self.reward += extra @ self.config.reward.weights[first:]
 
-    def _moment(self) -> Moment:
+    def moment(self) -> Moment:
+        """What the terms of the reward see of the last step."""
         rows, target = self._views[0].rows, self._target
         now, scale, place = self.frame, self._ratio[:, None, None], self.placement.place
         arm = self.link_positions - self._com[:, 1:2]

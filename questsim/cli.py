@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from questsim import __version__
 from questsim.errors import InputError
+from questsim.extensions import load_extensions
 
 BAD_INPUT, INTERRUPTED = 2, 130
 """Exit codes: input that cannot be used; Ctrl-C, as shells count it (128 + SIGINT)."""
@@ -133,7 +134,11 @@ def run(command: Callable[[Any], object], args: type, argv: Sequence[str] | None
     """
     import tyro
 
-    return guarded(lambda: command(tyro.cli(args, args=argv)))
+    def parse_and_run() -> object:
+        load_extensions()
+        return command(tyro.cli(args, args=argv))
+
+    return guarded(parse_and_run)
 
 
 def usage() -> str:
@@ -180,6 +185,7 @@ def _run_named(name: str, argv: Sequence[str]) -> int:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
     def parse_and_run() -> object:
+        load_extensions()
         module = importlib.import_module(command.module)
         args = tyro.cli(
             getattr(module, command.args),

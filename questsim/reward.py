@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 
 from questsim.errors import InputError
+from questsim.extensions import same_source
 
 
 class Moment(NamedTuple):
@@ -140,9 +141,7 @@ COMPILED: tuple[str, ...] = tuple(TERMS)
 """Terms that ``envs.kernels.score`` computes as well, much faster; tests compare the two."""
 
 
-def register_term(
-    name: str, function: Function, weight: float = 0.0, k: float = 1.0
-) -> Function:
+def register_term(name: str, function: Function, weight: float = 0.0, k: float = 1.0) -> Function:
     """Add a term to the table, e.g. from a module that ``QUESTSIM_EXTENSIONS`` names.
 
     Args:
@@ -153,7 +152,7 @@ def register_term(
     Raises:
         InputError: the name is taken or is no identifier.
     """
-    if name in TERMS and TERMS[name].function is not function:
+    if name in COMPILED or (name in TERMS and not same_source(TERMS[name].function, function)):
         raise InputError(f"there is a reward term {name!r} already", "register_term", "rename it")
     if not name.isidentifier() or name.startswith(("k_", "_")):
         raise InputError(f"{name!r} cannot name a reward term", "register_term")

@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
+from questsim.reward import TERMS
 from questsim.skeleton import NUM_DOFS
 
 BLOCKS = {

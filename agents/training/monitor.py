@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
-from stable_baselines3.common.logger import configure
+from stable_baselines3.common.logger import Logger, make_output_format
 
 from agents.evaluation.follow import Followed
 
@@ -21,12 +21,17 @@ class Monitor:
     Args:
         env: the training environment; its ``reward_terms`` are read after each step, and its
             ``unstable_count`` where something is written.
-        folder: for TensorBoard's files.
+        folder: for TensorBoard's files, and the same curves as ``progress-1.csv``.
     """
 
     def __init__(self, env: Any, folder: Path) -> None:
         self._env = env
-        self._logger = configure(str(folder), ["tensorboard"])
+        # Each resumed part of a run has a file of its own, as TensorBoard's are.
+        part = len(list(folder.glob("progress-*.csv"))) + 1
+        formats = [
+            make_output_format(kind, str(folder), f"-{part}") for kind in ("csv", "tensorboard")
+        ]
+        self._logger = Logger(str(folder), formats)
         self._begin()
         self.reward = 0.0
 
@@ -64,6 +69,7 @@ class Monitor:
             record(f"falls/{kind or 'unknown'}", self._fallen[kind] / ended)
         record("rollout/unstable_count", self._env.unstable_count)
         record("time/steps_per_second", rate)
+        record("time/total_timesteps", step)
         for name, value in figures.items():
             record(name, value)
         self._logger.dump(step)
@@ -74,10 +80,11 @@ class Monitor:
         """Write the outcome of an evaluation on the fixed set."""
         for name, value in evaluation_figures(followed).items():
             self._logger.record(f"evaluation/{name}", value)
+        self._logger.record("time/total_timesteps", step)
         self._logger.dump(step)
 
     def close(self) -> None:
-        """Close TensorBoard's file."""
+        """Close the files."""
         self._logger.close()
 
 

@@ -1,37 +1,37 @@
-"""A new reward term: torques that are small earn a little more."""
+"""A new reward term: a penalty on mechanical power, for policies that waste no energy.
+
+QUESTSIM_EXTENSIONS=docs.examples.new_reward python train.py --preset smoke \\
+        --motions synthetic --out runs/frugal --set stages.teacher.reward.energy=0.1
+"""
 
 import numpy as np
 
 from envs import EnvConfig, QuestVecEnv
 from questsim.motion.synthesis.synthetic import synthesise
+from questsim.reward import Moment, RewardConfig, register_term
 
 
-def effort(action: np.ndarray, k: float = 20.0) -> np.ndarray:
-    """exp(-k * mean square action) ``(n,)`` of actions ``(n, 33)`` in [-1, 1]."""
-    return np.exp(-k * np.mean(np.clip(action, -1.0, 1.0) ** 2, axis=-1))
+def energy(moment: Moment, k: float) -> np.ndarray:
+    """-k * mean over joints of |torque * velocity| ``(n,)``: k per watt."""
+    return -k * np.abs(moment.torque * moment.joint_velocities).mean(axis=-1)
 
 
-class FrugalVecEnv(QuestVecEnv):
-    """The task with 90 % of its reward, and 10 % for ``effort``."""
-
-    def _advance(self) -> None:
-        super()._advance()
-        good = ~self.sim.unstable  # physics that failed earns nothing
-        self.sim.reward[good] *= 0.9
-        self.sim.reward[good] += 0.1 * effort(self._action[good])
+register_term("energy", energy, k=0.01)
 
 
-def main() -> tuple[np.ndarray, np.ndarray]:
-    """The same step at rest and under random torques; rewards ``(4,)`` of each."""
-    env = FrugalVecEnv([synthesise("stand", duration=2.0)], EnvConfig(), num_envs=4)
-    rewards = []
+def main() -> list[np.ndarray]:
+    """Values ``(4,)`` of the term in a step at rest and in one under random torques."""
+    config = EnvConfig(reward=RewardConfig(energy=0.1))
+    env = QuestVecEnv([synthesise("stand", duration=2.0)], config, num_envs=4)
+    values = []
     for scale in (0.0, 0.5):
         env.seed(0)
         env.reset()
         actions = np.random.default_rng(0).normal(0.0, scale, (4, 33)).astype(np.float32)
-        rewards.append(env.step(actions)[1])
-    return rewards[0], rewards[1]
+        env.step(actions)
+        values.append(env.sim.reward_terms[:, env.sim.reward_names.index("energy")].copy())
+    return values
 
 
 if __name__ == "__main__":
-    print("rewards at rest and under random torques:", *main())
+    print("energy at rest and under random torques:", *main())
