@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3.common.logger import configure
 from torch import nn
 
 from agents.kinematic.learning import Learning, Task, rate_at
 from agents.policy.checkpoint import load_resume
-from agents.training.monitor import Display
+from agents.training.monitor import Display, training_logger
 from agents.training.stage import Budget, Stopper
 from questsim.errors import InputError
 
@@ -76,7 +75,7 @@ class Fit:
         budget = self.budget
         if budget.progress(self.steps) >= 1 and self._is_evaluated():
             return
-        logger = configure(str(self.folder / "tensorboard"), ["tensorboard"])
+        logger = training_logger(self.folder / "tensorboard")
         if not self.history:
             self._evaluate(logger, display)
         began, count = time.perf_counter(), 0
@@ -140,6 +139,7 @@ class Fit:
     def _log(self, logger: Any, figures: dict[str, float], prefix: str) -> None:
         for name, value in figures.items():
             logger.record(self._not_prefixed(name, prefix), value)
+        logger.record("time/total_timesteps", self.steps)
         logger.dump(self.steps)
 
     def _show(self, display: Display, figures: dict[str, float], rate: float) -> None:

@@ -15,6 +15,13 @@ from stable_baselines3.common.logger import Logger, make_output_format
 from agents.evaluation.follow import Followed
 
 
+def training_logger(folder: Path) -> Logger:
+    """Writes curves for TensorBoard and as ``progress-1.csv``; a resumed run begins ``-2``."""
+    part = len(list(folder.glob("progress-*.csv"))) + 1
+    kinds = ("csv", "tensorboard")
+    return Logger(str(folder), [make_output_format(k, str(folder), f"-{part}") for k in kinds])
+
+
 class Monitor:
     """Gathers what happens between two log points and writes it for TensorBoard.
 
@@ -26,12 +33,7 @@ class Monitor:
 
     def __init__(self, env: Any, folder: Path) -> None:
         self._env = env
-        # Each resumed part of a run has a file of its own, as TensorBoard's are.
-        part = len(list(folder.glob("progress-*.csv"))) + 1
-        formats = [
-            make_output_format(kind, str(folder), f"-{part}") for kind in ("csv", "tensorboard")
-        ]
-        self._logger = Logger(str(folder), formats)
+        self._logger = training_logger(folder)
         self._begin()
         self.reward = 0.0
 

@@ -1,7 +1,7 @@
 """A new reward term: a penalty on mechanical power, for policies that waste no energy.
 
-QUESTSIM_EXTENSIONS=docs.examples.new_reward python train.py --preset smoke \\
-        --motions synthetic --out runs/frugal --set stages.teacher.reward.energy=0.1
+To train with it, set ``QUESTSIM_EXTENSIONS=docs.examples.new_reward`` and give ``train.py``
+the option ``--set stages.teacher.reward.energy=0.1``.
 """
 
 import numpy as np
