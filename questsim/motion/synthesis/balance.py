@@ -75,7 +75,7 @@ def settle(
         root[:, :2] = balanced_path(wanted, root[:, 2] + offset[:, 2], time) - offset[:, :2]
         root[:, 2] = height
         excess = root[:, 2] - highest_root(feet, root, pelvis, stretch)
-        root[:, 2] -= max(excess[shown].max(), 0.0) if jog else _lowering(excess, time)
+        root[:, 2] -= max(excess[shown].max(), 0.0) if jog else lowering(excess, time)
         qpos = solve(posture, root, feet)
         centers, share = link_centers(qpos)
         offset = np.einsum("l,tlk->tk", share, centers) - root
@@ -103,7 +103,7 @@ def _swing_moment(centers: np.ndarray, share: np.ndarray, step: float) -> np.nda
     )
 
 
-def _lowering(excess: np.ndarray, time: np.ndarray) -> np.ndarray:
+def lowering(excess: np.ndarray, time: np.ndarray) -> np.ndarray:
     """A smooth curve that is nowhere below the excess ``(T,)`` of height."""
     frames = 0.03 / (time[1] - time[0])
     wide = -minimum_filter1d(-excess.clip(0.0), 2 * int(np.ceil(3.0 * frames)) + 1)

@@ -110,13 +110,13 @@ def stance_pose(s: Stance, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     strike = s.strike_pitch * (1.0 - smoothstep((time - s.touch) / s.flat_s))
     rise = np.clip(1.0 - (s.lift - time) / s.rise_s, 0.0, None)
     pitch = strike + s.push_pitch * rise**2.4
-    ahead, up = _roll(pitch)
+    ahead, up = roll(pitch)
     direction = np.array([np.cos(s.yaw), np.sin(s.yaw)])
     ankle = np.concatenate([s.ankle + ahead[:, None] * direction, up[:, None]], axis=-1)
     return ankle, pitch
 
 
-def _roll(pitch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def roll(pitch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Ankle ahead of its flat place and above the floor, of a foot rolled to ``pitch``."""
     heel, ball, height, radius = sole_shape()
     pivot = np.where(pitch > 0, ball, heel)
@@ -145,7 +145,7 @@ def _swing(
     arrive[2, :2] = -BRAKING * (b.ankle - a.ankle) / span**2
     ankle = np.empty((len(time), 3))
     for k in range(2):
-        ankle[:, k] = _quintic(leave[:, k], arrive[:, k], span, u)
+        ankle[:, k] = quintic(leave[:, k], arrive[:, k], span, u)
     template = gait.lift * sum(leg_lengths()[:2]) * (0.35 + 0.65 * full)
     ankle[:, 2] = _shaped(template, shape.height, leave[:, 2], arrive[:, 2], span, u)
     pitch = _shaped(full, shape.pitch, leave[:, 3], arrive[:, 3], span, u)
@@ -158,7 +158,7 @@ def _swing(
 
 def _lowest(height: np.ndarray, pitch: np.ndarray) -> np.ndarray:
     """Clearance of the sole: what a foot of that ankle height has below its lower end."""
-    return height - _roll(pitch)[1]
+    return height - roll(pitch)[1]
 
 
 def _motion_at(s: Stance, time: float, step: float) -> np.ndarray:
@@ -184,10 +184,10 @@ def _shaped(
     for at, end in ((0.0, leave), (1.0, arrive)):
         own = np.array([curve(at, n) / span**n for n in range(3)]) * scale
         ends.append((end - own) * [1.0, 1.0, 0.0])
-    return scale * curve(u) + _quintic(ends[0], ends[1], span, u)
+    return scale * curve(u) + quintic(ends[0], ends[1], span, u)
 
 
-def _quintic(start: np.ndarray, end: np.ndarray, span: float, u: np.ndarray) -> np.ndarray:
+def quintic(start: np.ndarray, end: np.ndarray, span: float, u: np.ndarray) -> np.ndarray:
     """The quintic with the given (value, rate, second rate) at ``u = 0`` and ``u = 1``."""
     p0, v0, a0 = start * [1.0, span, span**2]
     p1, v1, a1 = end * [1.0, span, span**2]

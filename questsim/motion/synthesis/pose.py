@@ -127,6 +127,12 @@ def shoulder_angles(upper: np.ndarray, side: int) -> np.ndarray:
     return np.unwrap(euler, axis=0)
 
 
+def upper_arm(angles: np.ndarray, side: int) -> np.ndarray:
+    """Orientations ``(T, 4)`` in the chest's frame for a shoulder's hinge angles ``(T, 3)``."""
+    turn = Rotation.from_euler("z", _SHOULDER_TURN[side])
+    return rot.as_quat(turn * Rotation.from_euler("XYZ", angles) * turn.inv())
+
+
 def highest_root(
     feet: Feet, root: np.ndarray, pelvis: Rotation, stretch: float = FULL_STRETCH
 ) -> np.ndarray:
