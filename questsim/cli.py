@@ -49,6 +49,10 @@ COMMANDS: dict[str, Command] = {
         "questsim.motion.motions_command", "fetch_dataset", "FetchArgs",
         "download a public dataset and verify every clip of it",
     ),
+    "motions vary": Command(
+        "questsim.motion.vary_command", "vary_motions", "VaryArgs",
+        "write a library of variations of motions: other speeds, postures, stances, paths",
+    ),
     "motions list": Command(
         "questsim.motion.motions_command", "list_motions", "ListMotionsArgs",
         "say what a library, dataset, file or folder contains",

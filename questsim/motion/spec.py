@@ -221,8 +221,8 @@ def _alone(path: Path) -> FileLock:
 def _code_digest() -> str:
     """Digest of the code and the body that clips depend on: they outdate the cache."""
     here = Path(__file__).parent
-    others = ("commands", "datasets", "inverse_dynamics", "library", "spec")
-    sources = sorted(path for path in here.glob("*.py") if path.stem not in others)
+    others = "datasets inverse_dynamics library motions_command spec variation vary_command"
+    sources = sorted(path for path in here.glob("*.py") if path.stem not in others.split())
     sources += [Path(str(module.__file__)) for module in (rotations, skeleton)]
     sources += [here.parent / "body.py", mjcf_path("humanoid.xml")]
     digest = hashlib.sha256(str(VERSION).encode())

@@ -16,7 +16,7 @@ from questsim.motion.clip import FPS, Clip
 from questsim.motion.kinematics import foot_contacts, link_offsets, link_poses
 from questsim.motion.limbs import FULL_STRETCH, SIDES, fill_leg, joint_index
 from questsim.motion.synthesis.balance import lowering
-from questsim.skeleton import FOOT_LINKS, LINKS, NUM_DOFS, NUM_JOINTS
+from questsim.skeleton import FOOT_LINKS, LINKS, NUM_JOINTS
 
 _ROUNDS = 3
 """The centre of mass comes to within 2 mm of its target in so many rounds."""
@@ -194,10 +194,9 @@ def _with_legs(figure: Figure, root: np.ndarray) -> np.ndarray:
     quat = np.zeros((len(figure), NUM_JOINTS, 4))
     quat[:, joint_index("root")] = figure.pelvis
     angles = figure.angles.copy()
-    assert angles.shape[1] == NUM_DOFS
     for index, side in enumerate(SIDES):
         quat[:, joint_index(f"{side}_hip")] = figure.thigh[:, index]
-        quat[:, joint_index(f"{side}_ankle")] = figure.foot[:, index]
-        fill_leg(side, root, quat, figure.ankle[:, index], DEFAULT_HEIGHT_M, angles)
+        ankle, foot = figure.ankle[:, index], figure.foot[:, index]
+        fill_leg(side, root, quat, ankle, foot, DEFAULT_HEIGHT_M, angles)
     angles = np.clip(angles, limits[:, 0], limits[:, 1])
     return np.concatenate([root, figure.pelvis, angles], axis=-1)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_closing, gaussian_filter1d, label
+from scipy.ndimage import binary_closing, gaussian_filter1d
 
 from questsim import rotations as rot
 from questsim.motion.clip import FPS
@@ -27,9 +27,9 @@ def stances(contact: np.ndarray) -> list[tuple[int, int]]:
     """(first, last) frame of every stance of one foot's contacts ``(T,)``."""
     padded = np.pad(contact, GAP_FRAMES, mode="edge")
     closed = binary_closing(padded, np.ones(GAP_FRAMES))[GAP_FRAMES:-GAP_FRAMES]
-    numbered, count = label(closed)
-    found = [np.flatnonzero(numbered == number + 1) for number in range(count)]
-    return [(int(frames[0]), int(frames[-1])) for frames in found]
+    edges = np.diff(np.concatenate([[0], closed.astype(int), [0]]))
+    first, past = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return [(int(a), int(b) - 1) for a, b in zip(first, past, strict=True)]
 
 
 def held_time(contact: np.ndarray) -> np.ndarray:
