@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from questsim import rotations as rot
-from questsim.motion import retarget
+from questsim.motion import footing as footing_module
 from questsim.motion.clip import Clip
-from questsim.motion.kinematics import sole_points, sole_positions
+from questsim.motion.footing import measure_footing
+from questsim.motion.kinematics import clip_from_qpos, sole_points, sole_positions
 from questsim.motion.motion import Motion
 from questsim.motion.retarget import to_clip
 from questsim.motion.retarget_back import to_motion
+from questsim.motion.retarget_stream import StreamRetargeter
 from questsim.motion.spec import load_motions
 from questsim.motion.stance import Soles, from_lean, lean, measure_soles, plant
 from questsim.skeleton import DOFS, FOOT_LINKS, JOINTS
@@ -64,12 +66,40 @@ def test_feet_that_float_and_lean_are_planted(walk: Clip) -> None:
     assert (low.min(axis=1) < 0.01).mean() > 0.97
 
 
+def test_a_stream_plants_feet_as_whole_motions_do(walk: Clip) -> None:
+    motion = spoiled(to_motion(walk))
+    whole = to_clip(motion)
+    put = StreamRetargeter(motion, whole.height_m)
+    poses = [
+        replace(motion, root_position=motion.root_position[i : i + 1], rotations=turned[None])
+        for i, turned in enumerate(motion.rotations[:90])
+    ]
+    rows = np.concatenate([put(pose) for pose in poses])
+    stream = clip_from_qpos("stream", rows, whole.height_m)
+    low, tilt, still = soles(stream)
+    assert np.abs(low[still]).mean() < 0.007 and tilt[still].mean() < 0.01
+    apart = np.linalg.norm(stream.link_position - whole.link_position[:90], axis=-1)
+    assert apart.mean() < 0.01 and np.percentile(apart, 99) < 0.06
+    put.reset()
+    np.testing.assert_array_equal(put(poses[0])[0], rows[0])
+
+
+def test_an_estimate_floats_over_the_footing_of_another_recording(walk: Clip) -> None:
+    user = to_motion(walk)
+    footing = measure_footing(user, walk.height_m)
+    lift = np.array([0.0, 0.0, 0.1])
+    for sign in (1.0, -1.0):
+        lifted = replace(user, root_position=user.root_position + sign * lift)
+        moved = to_clip(lifted, footing).link_position - to_clip(user).link_position
+        np.testing.assert_allclose(moved.mean(axis=(0, 1))[2], sign * 0.1, atol=0.005)
+
+
 def test_arms_and_trunk_do_not_notice_that_feet_are_planted(
     walk: Clip, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     motion = spoiled(to_motion(walk))
     planted = to_clip(motion)
-    monkeypatch.setattr(retarget, "measure_soles", lambda *_: Soles())
+    monkeypatch.setattr(footing_module, "measure_soles", lambda *_: Soles())
     floating = to_clip(motion)
     legs = [7 + i for i, dof in enumerate(DOFS) if any(j in dof for j in ("hip", "knee", "ankle"))]
     rest = [i for i in range(3, 40) if i not in legs]

@@ -33,13 +33,13 @@ from questsim.body import DEFAULT_HEIGHT_M
 from questsim.files import whole_file
 from questsim.joint_sensors import SENSOR_FPS
 from questsim.metrics_terms import mpjpe_cm
+from questsim.motion.checks import stature
 from questsim.motion.clip import FPS, Clip
-from questsim.motion.kinematics import clip_from_qpos
+from questsim.motion.footing import measure_footing
 from questsim.motion.motion import Motion
 from questsim.motion.retarget import to_clip
 from questsim.plots import GREEN
 from questsim.sensors import SENSOR_SETS
-from questsim.skeleton import JOINTS, LINKS
 from questsim.viewing.camera import Camera, follow, three_quarter_azimuth
 from questsim.viewing.captions import Label, caption, labelled
 from questsim.viewing.costume import AVATAR, REFERENCE, Look
@@ -187,28 +187,12 @@ def parts_of(agent: str, motions: Sequence[Motion], threads: int) -> list[FilmFi
 
 
 def over_users_floor(poses: Poses, motion: Motion) -> Clip:
-    """Poses on the avatar over the floor that the user stands on.
+    """Poses on the avatar over the floor that the user stands on, which the user's motion tells.
 
     Retargeting puts the floor where a motion's soles are, so an estimate that floats would stand.
-    The avatar's root is that of the motion times the ratio of leg lengths, moved by a constant:
-    here it becomes the constant of the user's own motion.
     """
     estimate = on_own_body(poses, motion)
-    clip, user = to_clip(estimate), to_clip(motion)
-    leg = [LINKS.index(link) for link in ("left_thigh", "left_shin", "left_foot")]
-    ratio = np.linalg.norm(np.diff(user.link_position[0, leg], axis=0), axis=-1).sum()
-    bones = motion.offsets[[JOINTS.index("left_knee"), JOINTS.index("left_ankle")]]
-    ratio /= np.linalg.norm(bones, axis=-1).sum()
-    apart = float(_hips(estimate) - _hips(motion))
-    qpos = clip.qpos.copy()
-    qpos[:, 2] += user.qpos[0, 2] + ratio * apart - clip.qpos[0, 2]
-    return clip_from_qpos(clip.name, qpos, clip.height_m, kind=clip.kind, style=clip.style)
-
-
-def _hips(motion: Motion) -> float:
-    """Height of the middle of the hips in the first frame."""
-    hips = [JOINTS.index("left_hip"), JOINTS.index("right_hip")]
-    return motion.forward_kinematics()[0][0, hips, 2].mean()
+    return to_clip(estimate, measure_footing(motion, round(stature(estimate), 3)))
 
 
 def _shown(found: Sequence[Scenario]) -> Scenario:

@@ -113,6 +113,7 @@ class PoseStream:
     def reset(self) -> None:
         """Begin anew, with whatever frame is asked for next."""
         self._system.reset(UserBody.of(self._user), self._names)
+        self._retarget.reset()
         self._frame: int | None = None
         self._before: Poses | None = None
         self._after: Poses | None = None

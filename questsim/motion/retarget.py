@@ -14,19 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from questsim import rotations as rot
-from questsim.body import DEFAULT_HEIGHT_M, MAX_HEIGHT_M, MIN_HEIGHT_M, build_body
+from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M, build_body
 from questsim.errors import InputError
 from questsim.motion.checks import stature
 from questsim.motion.clip import FPS, Clip
-from questsim.motion.kinematics import (
-    clip_from_qpos,
-    link_poses,
-    sole_points,
-    sole_positions,
-)
+from questsim.motion.footing import ANKLES, Footing, footing_of, leg_targets
+from questsim.motion.kinematics import clip_from_qpos, link_poses
 from questsim.motion.limbs import (
-    FLOOR_PERCENTILE,
     SIDES,
     ankle_rise,
     fill_arm,
@@ -36,10 +30,9 @@ from questsim.motion.limbs import (
     joint_index,
     leg_m,
     leg_ratio,
-    root_path,
 )
 from questsim.motion.motion import Motion
-from questsim.motion.stance import lowest_point, measure_soles, plant, sink_for_reach
+from questsim.motion.stance import lowest_point, plant, sink_for_reach
 from questsim.skeleton import (
     FOOT_LINKS,
     LINK_JOINTS,
@@ -49,8 +42,13 @@ from questsim.skeleton import (
 )
 
 
-def to_clip(motion: Motion) -> Clip:
+def to_clip(motion: Motion, footing: Footing | None = None) -> Clip:
     """Retarget a motion to the avatar of the same stature, at 36 Hz, feet on the floor.
+
+    Args:
+        motion: what to retarget.
+        footing: of another recording of the same person, whose floor the motion then keeps, be
+            it that feet float or sink; by default the motion's own, and no foot sinks.
 
     Raises:
         InputError: the stature is outside the range of bodies.
@@ -65,14 +63,19 @@ def to_clip(motion: Motion) -> Clip:
     motion = motion.resampled(FPS)
     position, quat = motion.forward_kinematics()
     angles = np.zeros((len(motion), NUM_DOFS))
-    root = root_path(motion, position, height)
     links = fill_trunk(quat, angles)
-    ankles = _sole_targets(motion, position, quat, height, root)
-    feet = quat[:, [joint_index(f"{side}_ankle") for side in SIDES]]
-    ankles, feet = _place_on_floor(root, quat, ankles, feet, height)
     for side in SIDES:
         fill_arm(side, motion, position, quat, links, height, angles)
-    qpos = _feet_above_floor(root, quat, ankles, feet, height, angles)
+    rise = footing.rise_m if footing else ankle_rise(motion, position)
+    root, ankles = leg_targets(motion, position, quat, height, rise)
+    feet = quat[:, ANKLES]
+    used = footing or footing_of(ankles, feet, height, rise)
+    ankles, feet = _place_on_floor(used, root, quat, ankles, feet, height)
+    lowest = lowest_point(ankles, feet, height)
+    if footing is None:
+        ankles[..., 2] += np.maximum(0.0, -lowest)
+    allowed = np.minimum(lowest, 0.0) if footing else np.zeros_like(lowest)
+    qpos = _solve_legs(root, quat, ankles, feet, allowed, height, angles)
     return clip_from_qpos(
         motion.name,
         qpos,
@@ -85,15 +88,48 @@ def to_clip(motion: Motion) -> Clip:
     )
 
 
-def _feet_above_floor(
+def _place_on_floor(
+    footing: Footing,
     root: np.ndarray,
     quat: np.ndarray,
     ankles: np.ndarray,
     feet: np.ndarray,
     height: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Put the floor at z = 0 and feet that stand on it; the root ``(T, 3)`` is moved in place.
+
+    Returns:
+        ankle targets ``(T, 2, 3)`` and the orientations of the feet ``(T, 2, 4)``.
+    """
+    root[:, 2] -= footing.floor_m
+    ankles = ankles - [0.0, 0.0, footing.floor_m]
+    if footing.soles.flat:
+        ankles, feet, rise, stands = plant(footing.soles, ankles, feet, height)
+        root[:, 2] += rise
+        root[:, 2] -= sink_for_reach(hips_of(root, quat, height), ankles, stands, leg_m(height))
+    return ankles, feet
+
+
+def _solve_legs(
+    root: np.ndarray,
+    quat: np.ndarray,
+    ankles: np.ndarray,
+    feet: np.ndarray,
+    allowed: np.ndarray,
+    height: float,
     angles: np.ndarray,
 ) -> np.ndarray:
-    """Solve the legs, twice: what the ankle's hinges lack may press a sole into the floor."""
+    """Solve the legs, twice: what the ankle's hinges lack may press a sole into the floor.
+
+    Args:
+        root, quat, ankles, feet: where pelvis and feet go, ``(T, ...)``.
+        allowed: ``(T, 2)`` how low each sole may be.
+        height: the avatar's stature.
+        angles: ``(T, 33)`` of which the legs' are filled.
+
+    Returns:
+        ``(T, 40)`` poses within the ranges of the hinges.
+    """
     limits = build_body().model.jnt_range[1:]
     links = list(FOOT_LINKS)
     for attempt in (1, 2):
@@ -104,8 +140,8 @@ def _feet_above_floor(
         )
         if attempt == 1:
             link_position, link_quat = link_poses(qpos, height)
-            soles = sole_positions(link_position[:, links], link_quat[:, links], height)
-            ankles[..., 2] += np.maximum(-soles[..., 2].min(axis=-1), 0.0)
+            lowest = lowest_point(link_position[:, links], link_quat[:, links], height)
+            ankles[..., 2] += np.maximum(allowed - lowest, 0.0)
     return qpos
 
 
@@ -129,48 +165,6 @@ def mirror_clip(clip: Clip) -> Clip:
         kind=swapped,
         style=clip.style,
     )
-
-
-def _sole_targets(
-    motion: Motion, position: np.ndarray, quat: np.ndarray, height: float, root: np.ndarray
-) -> np.ndarray:
-    """World positions ``(T, 2, 3)`` where the ankles go, keeping the soles' paths.
-
-    The ankle of a motion may stand higher above its sole than the avatar's: what is kept is the
-    point of the sole below the ankle, so that a flat foot is flat and a lifted one as high. The
-    root sinks by as much as the avatar's ankles are lower.
-    """
-    ratio = leg_ratio(motion, height)
-    ankles = [joint_index(f"{side}_ankle") for side in SIDES]
-    motion_rise = ankle_rise(motion, position)
-    avatar_rise = -sole_points()[..., 2].mean() * height / DEFAULT_HEIGHT_M
-    up = rot.quat_rotate(quat[:, ankles], np.array([0.0, 0.0, 1.0]))
-    soles = position[:, ankles] - motion_rise * up
-    targets = soles * ratio + avatar_rise * up
-    root[:, 2] += avatar_rise - ratio * motion_rise
-    return targets
-
-
-def _place_on_floor(
-    root: np.ndarray, quat: np.ndarray, ankles: np.ndarray, feet: np.ndarray, height: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Put the soles on z = 0, none below; the root ``(T, 3)`` is moved in place.
-
-    Returns:
-        ankle targets ``(T, 2, 3)`` and the orientations of the feet ``(T, 2, 4)``.
-    """
-    lowest = lowest_point(ankles, feet, height)
-    floor = float(np.percentile(lowest.min(axis=1), FLOOR_PERCENTILE))
-    root[:, 2] -= floor
-    on_floor = ankles - [0.0, 0.0, floor]
-    soles = measure_soles(on_floor, feet, height)
-    if soles.flat:
-        ankles, feet, rise, stands = plant(soles, on_floor, feet, height)
-        root[:, 2] += rise
-        root[:, 2] -= sink_for_reach(hips_of(root, quat, height), ankles, stands, leg_m(height))
-    else:
-        ankles[..., 2] += np.maximum(-floor, -lowest)
-    return ankles, feet
 
 
 def retargeting_error(motion: Motion, clip: Clip) -> dict[str, float]:

@@ -1,8 +1,9 @@
-"""``retarget`` for a stream: poses of a person on the avatar, each by itself.
+"""``retarget`` for a stream: poses of a person on the avatar, one after the other.
 
-Whole motions tell by themselves where their floor is and how high an ankle is above its sole. Here
-a recording of the same person tells both beforehand, as a calibration would, and every pose keeps
-its height over that floor: what floats or sinks is seen to.
+Whole motions tell by themselves where their floor is and how their feet stand. Here a recording of
+the same person tells both beforehand, as a calibration would, and every pose keeps its height over
+that floor: what floats or sinks is seen to. If the feet of that recording have to be planted, those
+of the poses are, too, without a look ahead (``StancePlanter``).
 """
 
 from __future__ import annotations
@@ -10,33 +11,23 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from questsim import rotations as rot
-from questsim.body import DEFAULT_HEIGHT_M, build_body
-from questsim.motion.clip import FPS
-from questsim.motion.kinematics import sole_points, sole_positions
-from questsim.motion.limbs import (
-    FLOOR_PERCENTILE,
-    SIDES,
-    ankle_rise,
-    fill_arm,
-    fill_leg,
-    fill_trunk,
-    leg_ratio,
-    root_path,
-)
+from questsim.body import build_body
+from questsim.motion.footing import ANKLES, leg_targets, measure_footing
+from questsim.motion.limbs import SIDES, fill_arm, fill_leg, fill_trunk, hips_of, leg_m
 from questsim.motion.motion import Motion
-from questsim.skeleton import FOOT_LINKS, JOINTS, NUM_DOFS
-
-_ANKLES = [JOINTS.index(f"{side}_ankle") for side in SIDES]
-_UP = np.array([0.0, 0.0, 1.0])
+from questsim.motion.stance import lowest_point
+from questsim.motion.stance_stream import StancePlanter
+from questsim.skeleton import FOOT_LINKS, NUM_DOFS
 
 
 class StreamRetargeter:
-    """Puts one person's poses on the avatar of one height; nothing is kept between calls.
+    """Puts one person's poses on the avatar of one height.
+
+    Nothing is kept between calls but, where feet are planted, how they stood last.
 
     Args:
-        recording: of that person: two constants are taken from it, the heights of the floor and
-            of an ankle above its sole.
+        recording: of that person: heights of the floor and of an ankle above its sole, and how
+            each foot leans are taken from it.
         height_m: the avatar's stature.
     """
 
@@ -44,47 +35,38 @@ class StreamRetargeter:
         self._height = height_m
         self._model = build_body(height_m).model
         self._data = mujoco.MjData(self._model)
-        motion = recording.resampled(FPS)
-        position, quat = motion.forward_kinematics()
-        self._rise = ankle_rise(motion, position)
-        self._floor = 0.0
-        _, ankles = self._targets(motion, position, quat)
-        lowest = self._lowest(ankles, quat[:, _ANKLES]).min(axis=-1)
-        self._floor = float(np.percentile(lowest, FLOOR_PERCENTILE))
+        self._footing = measure_footing(recording, height_m)
+        soles = self._footing.soles
+        self._planter = StancePlanter(soles, height_m) if soles.flat else None
+
+    def reset(self) -> None:
+        """The next pose is the first of a new stream."""
+        if self._planter is not None:
+            self._planter.reset()
 
     def __call__(self, poses: Motion) -> np.ndarray:
-        """The avatar's ``qpos`` ``(T, 40)`` of poses of that person ``(T)``, floor at z = 0."""
+        """The avatar's ``qpos`` ``(T, 40)`` of the next poses ``(T)`` at 36 Hz, floor at z = 0."""
         position, quat = poses.forward_kinematics()
         angles = np.zeros((len(poses), NUM_DOFS))
         links = fill_trunk(quat, angles)
         for side in SIDES:
             fill_arm(side, poses, position, quat, links, self._height, angles)
-        root, ankles = self._targets(poses, position, quat)
+        root, ankles = leg_targets(poses, position, quat, self._height, self._footing.rise_m)
+        root[:, 2] -= self._footing.floor_m
+        ankles[..., 2] -= self._footing.floor_m
+        feet = quat[:, ANKLES]
+        if self._planter is not None:
+            hips = hips_of(root, quat, self._height)
+            ankles, feet, rise = self._planter(hips, ankles, feet, leg_m(self._height))
+            root[:, 2] += rise
         # What the ankle's hinges lack may press a sole lower than it is to be, and into the floor.
-        allowed = np.minimum(self._lowest(ankles, quat[:, _ANKLES]), 0.0)
-        qpos = self._with_legs(root, quat, ankles, angles)
-        lowest = self._lowest(*self._feet(qpos))
+        allowed = np.minimum(lowest_point(ankles, feet, self._height), 0.0)
+        qpos = self._with_legs(root, quat, ankles, feet, angles)
+        lowest = lowest_point(*self._feet(qpos), self._height)
         if (lowest < allowed).any():
             ankles[..., 2] += np.maximum(allowed - lowest, 0.0)
-            qpos = self._with_legs(root, quat, ankles, angles)
+            qpos = self._with_legs(root, quat, ankles, feet, angles)
         return qpos
-
-    def _targets(
-        self, poses: Motion, position: np.ndarray, quat: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Paths of pelvis ``(T, 3)`` and ankles ``(T, 2, 3)``: as ``retarget`` has them."""
-        ratio = leg_ratio(poses, self._height)
-        avatar_rise = -sole_points()[..., 2].mean() * self._height / DEFAULT_HEIGHT_M
-        root = root_path(poses, position, self._height)
-        root[:, 2] += avatar_rise - ratio * self._rise - self._floor
-        up = rot.quat_rotate(quat[:, _ANKLES], _UP)
-        ankles = (position[:, _ANKLES] - self._rise * up) * ratio + avatar_rise * up
-        ankles[..., 2] -= self._floor
-        return root, ankles
-
-    def _lowest(self, feet: np.ndarray, quat: np.ndarray) -> np.ndarray:
-        """Height ``(T, 2)`` of each sole's lowest point."""
-        return sole_positions(feet, quat, self._height)[..., 2].min(axis=-1)
 
     def _feet(self, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where the avatar's feet are ``(T, 2, 3)``, and their orientations ``(T, 2, 4)``."""
@@ -97,11 +79,15 @@ class StreamRetargeter:
         return position, quat
 
     def _with_legs(
-        self, root: np.ndarray, quat: np.ndarray, ankles: np.ndarray, angles: np.ndarray
+        self,
+        root: np.ndarray,
+        quat: np.ndarray,
+        ankles: np.ndarray,
+        feet: np.ndarray,
+        angles: np.ndarray,
     ) -> np.ndarray:
         for index, side in enumerate(SIDES):
-            foot = quat[:, _ANKLES[index]]
-            fill_leg(side, root, quat, ankles[:, index], foot, self._height, angles)
+            fill_leg(side, root, quat, ankles[:, index], feet[:, index], self._height, angles)
         return np.concatenate([root, quat[:, 0], _within_limits(angles)], axis=-1)
 
 

@@ -236,11 +236,21 @@ def plant(
 def _flattened(feet: np.ndarray, stands: np.ndarray) -> np.ndarray:
     """Standing feet turned flat, as far as they do not roll or lean on purpose."""
     yaw, pitch, roll = lean(feet)
-    pitch_share = np.where(stands, _fade(np.abs(pitch), FLAT_PITCH), 0.0)
-    roll_share = np.where(stands, _fade(np.abs(roll), FLAT_ROLL), 0.0)
-    pitch = pitch - gaussian_filter1d(pitch_share * pitch, SMOOTH_FRAMES, axis=0, mode="nearest")
-    roll = roll - gaussian_filter1d(roll_share * roll, SMOOTH_FRAMES, axis=0, mode="nearest")
-    return from_lean(yaw, pitch, roll)
+    turns = (
+        gaussian_filter1d(turn, SMOOTH_FRAMES, axis=0, mode="nearest")
+        for turn in flat_turn(pitch, roll, stands)
+    )
+    return from_lean(yaw, pitch - next(turns), roll - next(turns))
+
+
+def flat_turn(
+    pitch: np.ndarray, roll: np.ndarray, stands: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which part of its pitch and of its roll, in radians, is taken off each foot ``(..., 2)``."""
+    return (
+        np.where(stands, _fade(np.abs(pitch), FLAT_PITCH) * pitch, 0.0),
+        np.where(stands, _fade(np.abs(roll), FLAT_ROLL) * roll, 0.0),
+    )
 
 
 def _fade(angle: np.ndarray, ends: np.ndarray) -> np.ndarray:
@@ -268,12 +278,19 @@ def sink_for_reach(
         stands: ``(T, 2)``.
         leg_m: length of a stretched leg.
     """
-    across = np.linalg.norm(hips[..., :2] - ankles[..., :2], axis=-1)
-    highest = np.sqrt(np.maximum((MAX_REACH * leg_m) ** 2 - across**2, 0.0))
-    lacking = np.maximum(hips[..., 2] - ankles[..., 2] - highest, 0.0)
-    lacking = np.where(stands, np.minimum(lacking, ON_FLOOR_M), 0.0).max(axis=1)
+    lacking = lacking_reach(hips, ankles, stands, leg_m)
     # The maximum first, so that the smooth curve stays above nearly all of what is lacking.
     width = int(2 * ROOT_SMOOTH_FRAMES) + 1
     return gaussian_filter1d(
         maximum_filter1d(lacking, width, mode="nearest"), ROOT_SMOOTH_FRAMES, mode="nearest"
     )
+
+
+def lacking_reach(
+    hips: np.ndarray, ankles: np.ndarray, stands: np.ndarray, leg_m: float
+) -> np.ndarray:
+    """Metres ``(...)`` that stretched stance legs lack, as ``sink_for_reach`` has them."""
+    across = np.linalg.norm(hips[..., :2] - ankles[..., :2], axis=-1)
+    highest = np.sqrt(np.maximum((MAX_REACH * leg_m) ** 2 - across**2, 0.0))
+    lacking = np.clip(hips[..., 2] - ankles[..., 2] - highest, 0.0, ON_FLOOR_M)
+    return np.where(stands, lacking, 0.0).max(axis=-1)

@@ -1,0 +1,76 @@
+"""Where the avatar's ankles go, and what a person's recording says about floor and soles.
+
+``retarget`` measures the footing of each motion from that motion; ``retarget_stream`` takes it
+from a recording of the same person, as a calibration would.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from questsim import rotations as rot
+from questsim.body import DEFAULT_HEIGHT_M
+from questsim.motion.clip import FPS
+from questsim.motion.kinematics import sole_points
+from questsim.motion.limbs import FLOOR_PERCENTILE, SIDES, ankle_rise, leg_ratio, root_path
+from questsim.motion.motion import Motion
+from questsim.motion.stance import Soles, lowest_point, measure_soles
+from questsim.skeleton import JOINTS
+
+ANKLES = [JOINTS.index(f"{side}_ankle") for side in SIDES]
+
+
+@dataclass(frozen=True)
+class Footing:
+    """How a person's feet stand in a recording; in metres.
+
+    Attributes:
+        rise_m: from sole to ankle of the motion's flat foot.
+        floor_m: height of the floor that the lower sole says, in the avatar's space.
+        soles: lean and height of each sole over that floor.
+    """
+
+    rise_m: float
+    floor_m: float
+    soles: Soles
+
+
+def measure_footing(motion: Motion, height: float) -> Footing:
+    """The footing of a recording on an avatar of that height.
+
+    Args:
+        motion: at any frame rate.
+        height: the avatar's stature in metres.
+    """
+    motion = motion.resampled(FPS)
+    position, quat = motion.forward_kinematics()
+    rise = ankle_rise(motion, position)
+    _, ankles = leg_targets(motion, position, quat, height, rise)
+    return footing_of(ankles, quat[:, ANKLES], height, rise)
+
+
+def footing_of(ankles: np.ndarray, feet: np.ndarray, height: float, rise: float) -> Footing:
+    """The footing of ankle targets ``(T, 2, 3)`` and foot orientations ``(T, 2, 4)``."""
+    lowest = lowest_point(ankles, feet, height).min(axis=1)
+    floor = float(np.percentile(lowest, FLOOR_PERCENTILE))
+    return Footing(rise, floor, measure_soles(ankles - [0.0, 0.0, floor], feet, height))
+
+
+def leg_targets(
+    motion: Motion, position: np.ndarray, quat: np.ndarray, height: float, rise: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Paths of the pelvis ``(T, 3)`` and where the ankles go ``(T, 2, 3)``, over the file's floor.
+
+    The ankle of a motion may stand higher above its sole than the avatar's: what is kept is the
+    point of the sole below the ankle, so that a flat foot is flat and a lifted one as high. The
+    root sinks by as much as the avatar's ankles are lower.
+    """
+    ratio = leg_ratio(motion, height)
+    avatar_rise = -sole_points()[..., 2].mean() * height / DEFAULT_HEIGHT_M
+    root = root_path(motion, position, height)
+    root[:, 2] += avatar_rise - ratio * rise
+    up = rot.quat_rotate(quat[:, ANKLES], np.array([0.0, 0.0, 1.0]))
+    soles = position[:, ANKLES] - rise * up
+    return root, soles * ratio + avatar_rise * up
