@@ -45,6 +45,10 @@ COMMANDS: dict[str, Command] = {
         "questsim.motion.motions_command", "import_motions", "ImportArgs",
         "read BVH and npz files into a library of clips",
     ),
+    "motions mapping": Command(
+        "questsim.motion.motions_command", "start_mapping", "MappingArgs",
+        "write a mapping file, as a start, for a skeleton that is not recognised",
+    ),
     "motions fetch": Command(
         "questsim.motion.motions_command", "fetch_dataset", "FetchArgs",
         "download a public dataset and verify every clip of it",

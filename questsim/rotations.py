@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
+
+# Euler angles in gimbal lock are as good as others: SciPy sets the free one to zero.
+warnings.filterwarnings("ignore", message="Gimbal lock detected")
 
 
 def as_rotation(quat: np.ndarray) -> Rotation:

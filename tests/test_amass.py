@@ -104,15 +104,22 @@ def test_the_mean_skeleton_is_symmetric_and_as_tall_as_it_says():
     ("changes", "reason"),
     [
         ({"trans": None}, "no array 'trans'"),
-        ({"poses": None}, "no array 'poses'"),
-        ({"mocap_framerate": None}, "no array 'mocap_framerate'"),
-        ({"mocap_framerate": np.array(0.0)}, "not above zero"),
-        ({"mocap_framerate": np.zeros(0)}, "no array .mocap_framerate"),
+        ({"poses": None}, "neither an array 'poses' nor 'root_orient' and 'pose_body'"),
+        ({"mocap_framerate": None}, "does not say its frame rate .*--fps"),
+        ({"mocap_framerate": np.array(0.0)}, "means 0 frames a second, not 10-1000"),
+        ({"mocap_framerate": np.array(1e-9)}, "means 1e-09 frames a second.*--fps"),
+        ({"mocap_framerate": np.zeros(0)}, "does not say its frame rate"),
+        ({"poses": np.zeros((2_000_000, 156), np.float16)}, "more than 256 MiB|unpacks"),
         ({"poses": np.zeros((40, 50))}, r"poses has shape \(40, 50\)"),
         ({"trans": np.zeros((39, 3))}, r"trans has shape \(39, 3\)"),
         ({"poses": np.full((40, 156), np.nan)}, "not finite in frame 0"),
         ({"poses": np.zeros((0, 156)), "trans": np.zeros((0, 3))}, "no frames"),
-        ({"poses": np.array([{"a": 1}] * 40)}, "cannot be read"),
+        ({"poses": np.array([{"a": 1}] * 40)}, "poses holds object, not numbers"),
+        ({"poses": np.array(["a"] * 40)}, "poses holds <U1, not numbers"),
+        (
+            {"poses": None, "root_orient": np.zeros((40, 3)), "pose_body": np.zeros((39, 63))},
+            "not .T, 3. and",
+        ),
     ],
 )
 def test_a_wrong_file_is_refused_with_the_reason(changes, reason, tmp_path):
@@ -127,3 +134,31 @@ def test_what_is_no_npz_is_refused(tmp_path):
         read_amass(tmp_path / "a.npz")
     with pytest.raises(InputError, match="no such file"):
         read_motion(tmp_path / "none.npz")
+
+
+def test_root_orient_and_pose_body_give_what_poses_give(tmp_path):
+    rng = np.random.default_rng(1)
+    poses = np.concatenate([np.tile([np.pi / 2, 0, 0], (40, 1)), rng.normal(0, 0.1, (40, 63))], 1)
+    whole = np.concatenate([poses, np.zeros((40, 90))], axis=1)
+    a = read_motion(write_amass(tmp_path / "a.npz", poses=whole), ReadOptions(accept=True))[0]
+    split = {"root_orient": poses[:, :3], "pose_body": poses[:, 3:], "poses": None}
+    b = read_motion(write_amass(tmp_path / "b_stageii.npz", **split), ReadOptions(accept=True))[0]
+    np.testing.assert_array_equal(a.rotations, b.rotations)
+
+
+@pytest.mark.parametrize("key", ["mocap_frame_rate", "framerate", "frame_rate"])
+def test_the_frame_rate_is_found_under_each_of_its_names_or_declared(key, tmp_path):
+    path = write_amass(tmp_path / "a.npz", mocap_framerate=None, **{key: np.array(100.0)})
+    assert read_motion(path)[0].fps == 100.0
+    path = write_amass(tmp_path / "b.npz", mocap_framerate=None)
+    assert read_motion(path, ReadOptions(fps=50.0))[0].fps == 50.0
+
+
+def test_a_small_file_that_unpacks_to_much_memory_is_refused_before_it_is_unpacked(tmp_path):
+    poses = np.zeros((200_000, 156), np.float32)
+    np.savez_compressed(
+        tmp_path / "bomb.npz", poses=poses, trans=poses[:, :3], mocap_framerate=30.0
+    )
+    assert (tmp_path / "bomb.npz").stat().st_size < 1_000_000
+    with pytest.raises(InputError, match=r"poses unpacks 0\.\d MiB to 119 MiB"):
+        read_motion(tmp_path / "bomb.npz")

@@ -46,7 +46,7 @@ def test_units_that_make_no_person_are_refused(tmp_path, person):
     with pytest.raises(InputError, match=r"181 m tall in m .*wrong units.*--accept"):
         read_motion(person, ReadOptions(units="m"))
     with pytest.raises(InputError, match="wrong units"):
-        read_motion(scaled_file(tmp_path / "b.bvh", 0.08))
+        read_motion(scaled_file(tmp_path / "b.bvh", 0.04))
 
 
 @pytest.mark.parametrize("up", ["y", "z", "x", "-z"])

@@ -121,7 +121,7 @@ def test_numbers_that_are_not_finite_are_refused_with_the_motions_name(key, save
 
 
 def test_pickled_objects_are_never_loaded(saved):
-    with pytest.raises(InputError, match="cannot be read as a library"):
+    with pytest.raises(InputError, match="motion_name holds object, not numbers or text"):
         load_library(changed(saved, motion_name=np.array([{"a": 1}, None], dtype=object)))
 
 

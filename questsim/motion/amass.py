@@ -10,7 +10,6 @@ al., "SMPL: A Skinned Multi-Person Linear Model", SIGGRAPH Asia 2015 (joints and
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,8 @@ from scipy.spatial.transform import Rotation
 from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.motion.convert import global_pose
-from questsim.motion.recording import AGAIN, Recording, read_bytes
+from questsim.motion.npz import open_npz
+from questsim.motion.recording import AGAIN, MAX_LENGTH, Recording, check_rate, read_bytes
 
 NUM_BODY_JOINTS = 22
 SMPL_NAMES: tuple[str, ...] = (
@@ -55,6 +55,11 @@ _MEAN = {
 }
 SOLE_BELOW_FOOT_JOINT = 0.009
 DEFAULT_STATURE_M = 1.70
+FRAME_RATE_KEYS = (
+    "mocap_framerate", "mocap_frame_rate", "framerate", "frame_rate", "mocap_fps", "fps"
+)  # fmt: skip
+MAX_ARRAY_BYTES = 256 << 20
+"""An array larger than 256 MiB is refused: AMASS's longest files take a third of it."""
 PLAUSIBLE_STATURE_M = (1.40, 2.10)
 
 
@@ -63,8 +68,11 @@ def read_amass(
     *,
     height_m: float | None = None,
     smpl_file: str | Path | None = None,
+    fps: float | None = None,
 ) -> Recording:
     """Reads one AMASS file (SMPL, SMPL-H or SMPL-X; hands and face are left out).
+
+    The poses are ``poses``, or ``root_orient`` and ``pose_body``.
 
     Args:
         path: the .npz file.
@@ -72,6 +80,7 @@ def read_amass(
             puts the soles on the floor at z = 0, or 1.70 m where that is implausible.
         smpl_file: a SMPL model as .npz (``J_regressor``, ``v_template``, ``shapedirs``): its
             joints with the file's ``betas`` are used instead of the mean skeleton.
+        fps: the true frame rate; by default that of the file.
 
     Returns:
         The recording on SMPL's joints, in metres, z up; ``families.SMPL`` knows it.
@@ -81,16 +90,14 @@ def read_amass(
     """
     path = Path(path)
     data = read_bytes(path)
-    arrays = _load_npz(path, ("poses", "trans"))
-    poses, trans = arrays["poses"], arrays["trans"]
-    if poses.ndim != 2 or poses.shape[1] < 3 * NUM_BODY_JOINTS or poses.shape[1] % 3:
-        raise InputError(f"poses has shape {poses.shape}, not (T, 72), (T, 156) or (T, 165)", path)
+    arrays = _load_arrays(path)
+    poses, trans = _poses(arrays, path), arrays["trans"]
     if trans.shape != (len(poses), 3):
         raise InputError(f"trans has shape {trans.shape}, not {(len(poses), 3)}", path)
     if not len(poses):
         raise InputError("motion has no frames", path)
     for name, array in (("poses", poses), ("trans", trans)):
-        bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
+        bad = np.flatnonzero(~(abs(array) <= MAX_LENGTH).all(axis=1))
         if len(bad):
             raise InputError(f"{name} is not finite in frame {bad[0]}", path, AGAIN)
     rotvec = poses[:, : 3 * NUM_BODY_JOINTS].reshape(-1, 3)
@@ -104,7 +111,7 @@ def read_amass(
         parents=np.array(SMPL_PARENTS),
         positions=positions,
         rotations=rotations,
-        fps=_frame_rate(arrays, path),
+        fps=fps or _frame_rate(arrays, path),
         sha256=hashlib.sha256(data).hexdigest(),
     )
     if smpl_file is None:
@@ -112,13 +119,19 @@ def read_amass(
     return recording
 
 
-def is_amass(path: str | Path) -> bool:
-    """Whether a .npz file has AMASS's keys."""
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            return "poses" in arrays.files
-    except (OSError, ValueError, zipfile.BadZipFile):
-        return False
+def _poses(arrays: dict[str, np.ndarray], path: Path) -> np.ndarray:
+    """Rotation vectors of the root and the body's joints ``(T, 66 or more)``."""
+    if "poses" in arrays:
+        poses, name = arrays["poses"], "poses"
+    else:
+        root, body = arrays["root_orient"], arrays["pose_body"]
+        if root.ndim != 2 or body.ndim != 2 or root.shape[1] != 3 or len(root) != len(body):
+            shapes = f"root_orient has shape {root.shape}, pose_body {body.shape}"
+            raise InputError(f"{shapes}, not (T, 3) and (T, 63)", path)
+        poses, name = np.concatenate([root, body], axis=1), "root_orient and pose_body"
+    if poses.ndim != 2 or poses.shape[1] < 3 * NUM_BODY_JOINTS or poses.shape[1] % 3:
+        raise InputError(f"{name} has shape {poses.shape}, not (T, 72), (T, 156), (T, 165)", path)
+    return poses
 
 
 def mean_offsets() -> np.ndarray:
@@ -140,40 +153,53 @@ def estimate_stature(recording: Recording) -> float:
     return height if low <= height <= high else DEFAULT_STATURE_M
 
 
-def _load_npz(path: Path, needed: tuple[str, ...]) -> dict[str, np.ndarray]:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            missing = [key for key in needed if key not in archive.files]
-            if missing:
-                raise InputError(f"has no array {missing[0]!r}", path, "give an AMASS file")
-            wanted = (*needed, "betas", "mocap_framerate", "mocap_frame_rate")
-            wanted = [key for key in wanted if key in archive.files]
-            return {key: np.asarray(archive[key], float) for key in wanted}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"cannot be read as .npz ({error})", path, AGAIN) from None
+def _load_arrays(path: Path) -> dict[str, np.ndarray]:
+    """The file's arrays that matter, as floats."""
+    with open_npz(path, MAX_ARRAY_BYTES) as archive:
+        if "poses" not in archive.files:
+            lacking = [key for key in ("root_orient", "pose_body") if key not in archive.files]
+            if lacking:
+                what = "has neither an array 'poses' nor 'root_orient' and 'pose_body'"
+                raise InputError(what, path, "give an AMASS file")
+        if "trans" not in archive.files:
+            raise InputError("has no array 'trans'", path, "give an AMASS file")
+        wanted = ("poses", "root_orient", "pose_body", "trans", "betas", *FRAME_RATE_KEYS)
+        arrays = {key: archive[key] for key in wanted if key in archive.files}
+    for key, array in arrays.items():
+        if array.dtype.kind not in "biuf":
+            raise InputError(f"{key} holds {array.dtype}, not numbers", path, "give an AMASS file")
+    return {key: np.asarray(array, float) for key, array in arrays.items()}
 
 
 def _frame_rate(arrays: dict[str, np.ndarray], path: Path) -> float:
-    for key in ("mocap_framerate", "mocap_frame_rate"):
+    for key in FRAME_RATE_KEYS:
         if key in arrays and arrays[key].size:
             fps = float(arrays[key].reshape(-1)[0])
-            if not (np.isfinite(fps) and fps > 0):
-                raise InputError(f"{key} is {fps:g}, not above zero", path)
-            return fps
-    raise InputError("has no array 'mocap_framerate'", path, "give an AMASS motion file")
+            return check_rate(fps, f"{key} = {fps:g}", path)
+    raise InputError(
+        f"does not say its frame rate (none of {', '.join(FRAME_RATE_KEYS)})",
+        path,
+        "declare it with --fps",
+    )
 
 
 def _smpl_offsets(smpl_file: str | Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
     """Joint offsets ``(22, 3)`` in metres of the SMPL model with the file's betas."""
     path = Path(smpl_file)
-    try:
-        with np.load(path, allow_pickle=False) as model:
-            regressor, vertices = model["J_regressor"], model["v_template"]
-            directions = model["shapedirs"]
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError(f"is no SMPL model ({error})", path, "give a SMPL .npz file") from None
+    with open_npz(path, MAX_ARRAY_BYTES, "a SMPL model") as model:
+        regressor, vertices = model["J_regressor"], model["v_template"]
+        directions = model["shapedirs"]
+    shapes = (regressor.shape, vertices.shape, directions.shape)
+    count = vertices.shape[0] if vertices.ndim == 2 else -1
+    if (
+        vertices.shape != (count, 3)
+        or regressor.shape[1:] != (count,)
+        or len(regressor) < NUM_BODY_JOINTS
+        or directions.ndim != 3
+        or directions.shape[:2] != (count, 3)
+        or any(array.dtype.kind not in "iuf" for array in (regressor, vertices, directions))
+    ):
+        raise InputError(f"arrays of shapes {shapes} are no SMPL model", path)
     betas = arrays.get("betas", np.zeros(0)).reshape(-1)[: directions.shape[-1]]
     shaped = vertices + directions[..., : len(betas)] @ betas
     joints = (regressor @ shaped)[:NUM_BODY_JOINTS]

@@ -1,30 +1,49 @@
-"""BVH files: a strict check of the text, then upc-pymotion reads it.
+"""BVH files, read strictly: whatever is not as the format prescribes is refused with its line.
 
-pymotion is lenient (a truncated file becomes zeros, a mis-ordered channel a ``KeyError``), so
-every file is checked line by line first and refused with the line that is wrong.
+Source: Meredith and Maddock, "Motion Capture File Formats Explained", University of Sheffield
+2001. Joints may have any of the six channels, in any order. Position channels of a joint replace
+its offset; where they stay near zero they are added to it, as some exporters mean them.
 """
 
 from __future__ import annotations
 
 import hashlib
-import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from questsim.errors import InputError
-from questsim.motion.recording import AGAIN, Recording, read_bytes
+from questsim.motion.recording import (
+    AGAIN,
+    MAX_LENGTH,
+    Recording,
+    check_rate,
+    decode,
+    read_bytes,
+)
 from questsim.rotations import as_quat
 
-POSITIONS = ("Xposition", "Yposition", "Zposition")
-ROTATIONS = {"Xrotation", "Yrotation", "Zrotation"}
+CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
+_CHANNEL = {channel.lower(): channel for channel in CHANNELS}
+_KEYWORDS = {
+    word.upper(): word
+    for word in ("HIERARCHY", "MOTION", "ROOT", "JOINT", "End", "OFFSET", "CHANNELS", "{", "}")
+}
+_SITE = -2
+MAX_JOINTS = 2000
+DISPLACEMENT = 0.1
+"""Position channels whose median is shorter than this share of the offset are added to it."""
 
 
-def read_bvh(path: str | Path) -> Recording:
+def read_bvh(path: str | Path, fps: float | None = None) -> Recording:
     """Reads one BVH file.
+
+    Args:
+        path: the file.
+        fps: the true frame rate, which makes the frame time be ignored.
 
     Raises:
         InputError: the file is missing, empty, truncated or not what BVH prescribes; the
@@ -32,24 +51,26 @@ def read_bvh(path: str | Path) -> Recording:
     """
     path = Path(path)
     data = read_bytes(path)
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError("is not a text file", path, "give a BVH file") from None
-    lines = text.splitlines()
-    header, first = _check_hierarchy(lines, path)
-    frame_time, rows = _check_motion(lines, first, header.num_channels, path)
-    loaded = _load(header, frame_time, rows).data
-    parents = np.array(loaded["parents"], int)
-    parents[0] = -1
+    lines = decode(data, path).splitlines()
+    header, first = _read_hierarchy(lines, path)
+    rate, values = _read_motion(lines, first, header.num_channels, path, fps)
+    if not any(channel.endswith("position") for channel in header.channels[0]):
+        raise InputError(
+            f"the root {header.names[0][:40]!r} has no position channels: the motion does not say "
+            "where the performer goes",
+            path,
+            "export with the root's position",
+        )
+    positions, rotations = _pose(header, values)
     return Recording(
         path=path,
         names=tuple(header.names),
-        parents=parents,
-        positions=np.asarray(loaded["positions"], float),
-        rotations=_quaternions(loaded["rotations"], loaded["rot_order"]),
-        fps=_nominal_fps(1.0 / frame_time),
+        parents=np.array(header.parents),
+        positions=positions,
+        rotations=rotations,
+        fps=rate,
         sha256=hashlib.sha256(data).hexdigest(),
+        tips=header.tips,
     )
 
 
@@ -59,123 +80,201 @@ def _nominal_fps(fps: float) -> float:
     return float(nearest) if nearest and abs(fps - nearest) < 5e-4 * nearest else fps
 
 
-def _quaternions(degrees: np.ndarray, orders: np.ndarray) -> np.ndarray:
-    """Quaternions ``(T, J, 4)`` of Euler angles ``(T, J, 3)`` in each joint's channel order.
-
-    pymotion's own conversion gives the same at twice the whole file's reading time.
-    """
-    quat = np.empty((*degrees.shape[:2], 4))
-    names = np.array(["".join(order).upper() for order in orders])
-    for order in np.unique(names):
-        joints = names == order
-        angles = degrees[:, joints]
-        turns = Rotation.from_euler(str(order), angles.reshape(-1, 3), degrees=True)
-        quat[:, joints] = as_quat(turns, angles.shape[:2])
-    return quat
-
-
 @dataclass
 class _Header:
-    """What the HIERARCHY block declares, and its lines with the joints called j0, j1, ..."""
+    """What the HIERARCHY block declares, by joint."""
 
     names: list[str] = field(default_factory=list)
-    num_channels: int = 0
-    plain_lines: list[str] = field(default_factory=list)
+    parents: list[int] = field(default_factory=list)
+    offsets: list[np.ndarray] = field(default_factory=list)
+    channels: list[list[str]] = field(default_factory=list)
+    tips: dict[int, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def num_channels(self) -> int:
+        return sum(map(len, self.channels))
 
 
-def _check_hierarchy(lines: list[str], path: Path) -> tuple[_Header, int]:
-    """Checks lines up to ``MOTION``; returns the header and the index of the line after it."""
-    header = _Header()
-    depth, in_end_site, expected, roots = 0, False, "HIERARCHY", 0
+def _pose(header: _Header, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions ``(T, J, 3)`` and rotations ``(T, J, 4)`` of the frames ``(T, C)``."""
+    count = len(header.names)
+    positions = np.tile(np.array(header.offsets), (len(values), 1, 1))
+    rotations = np.tile([1.0, 0.0, 0.0, 0.0], (len(values), count, 1))
+    turned: dict[str, list[tuple[int, list[int]]]] = {}
+    column = 0
+    for joint, channels in enumerate(header.channels):
+        at = {channel: column + i for i, channel in enumerate(channels)}
+        column += len(channels)
+        moved = [channel for channel in at if channel.endswith("position")]
+        if moved:
+            _move(positions[:, joint], values, {CHANNELS.index(c): at[c] for c in moved}, joint)
+        order = [channel for channel in channels if channel.endswith("rotation")]
+        if order:
+            letters = "".join(channel[0] for channel in order)
+            turned.setdefault(letters, []).append((joint, [at[channel] for channel in order]))
+    for letters, joints in turned.items():
+        angles = values[:, [columns for _, columns in joints]]
+        turns = Rotation.from_euler(letters, angles.reshape(-1, len(letters)), degrees=True)
+        rotations[:, [joint for joint, _ in joints]] = as_quat(turns, angles.shape[:2])
+    return positions, rotations
 
-    def refuse(number: int, what: str, fix: str = AGAIN) -> InputError:
-        return InputError(what, f"{path}, line {number + 1}", fix)
 
+def _move(place: np.ndarray, values: np.ndarray, columns: dict[int, int], joint: int) -> None:
+    """Puts the position channels, axis to column, into a joint's ``(T, 3)``."""
+    axes = list(columns)
+    given = values[:, list(columns.values())]
+    offset = place[0, axes].copy()
+    near_zero = np.linalg.norm(np.median(given, axis=0)) < DISPLACEMENT * np.linalg.norm(offset)
+    place[:, axes] = given + offset if joint and near_zero else given
+
+
+def _read_hierarchy(lines: list[str], path: Path) -> tuple[_Header, int]:
+    """The header, and the index of the line after ``MOTION``."""
+    reader = _HierarchyReader(path)
     for number, line in enumerate(lines):
         words = line.split()
-        if not words:
-            continue
-        keyword = words[0]
-        if expected and keyword != expected:
-            raise refuse(number, f"{expected} expected, found {keyword[:40]!r}", "give a BVH file")
-        expected = ""
+        # A brace may close the line of what it opens.
+        parts = [words[:-1], ["{"]] if len(words) > 1 and words[-1] == "{" else [words]
+        for part in parts:
+            if part and reader.take(part, number):
+                return reader.header, number + 1
+    raise InputError(
+        "file ends inside the joint hierarchy: no MOTION block",
+        f"{path}, line {len(lines)}",
+        AGAIN,
+    )
+
+
+class _HierarchyReader:
+    """Takes the HIERARCHY block line by line.
+
+    Attributes:
+        header: what has been read.
+        open: joints whose braces are open; ``_SITE`` for an End Site.
+        pending: what the next brace opens; None for nothing.
+        expected: the keyword that has to come next; empty for any.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.header = _Header()
+        self.open: list[int] = []
+        self.pending: int | None = None
+        self.expected = "HIERARCHY"
+        self.number = 0
+
+    def refuse(self, what: str, fix: str = AGAIN) -> InputError:
+        return InputError(what, f"{self.path}, line {self.number + 1}", fix)
+
+    def take(self, words: list[str], number: int) -> bool:
+        """One line's words; True at ``MOTION``."""
+        self.number = number
+        keyword = _KEYWORDS.get(words[0].upper(), words[0])
+        if self.expected and keyword != self.expected:
+            found = f"{self.expected} expected, found {words[0][:40]!r}"
+            raise self.refuse(found, "give a BVH file")
+        self.expected = ""
         if keyword == "MOTION":
-            if depth or not header.names:
-                raise refuse(number, "MOTION before the end of the joint hierarchy")
-            return header, number + 1
-        plain = " ".join(words)
-        if keyword in ("ROOT", "JOINT"):
-            roots += keyword == "ROOT"
-            if len(words) < 2 or words[-1] == "{" or len(words) > 2:
-                raise refuse(
-                    number,
-                    f"{keyword} needs one name and nothing else on its line",
-                    "write joint names without spaces and each brace on its own line",
-                )
-            if words[1] in header.names:
-                raise refuse(number, f"joint {words[1]!r} appears twice", "give joints other names")
-            if roots > 1 or (keyword == "JOINT" and not roots):
-                raise refuse(number, "a BVH file has one ROOT", "keep one person a file")
-            plain = f"{keyword} j{len(header.names)}"
-            header.names.append(words[1])
-            expected = "{"
-        elif keyword == "End":
-            in_end_site, expected = True, "{"
-        elif keyword == "{":
-            depth, expected = depth + 1, "OFFSET"
-        elif keyword == "}":
-            depth, in_end_site = depth - 1, False
-            if depth < 0:
-                raise refuse(number, "one closing brace too many")
-        elif keyword == "OFFSET":
-            _numbers(words[1:], 3, lambda what, n=number: refuse(n, what))
-            expected = "" if in_end_site else "CHANNELS"
-        elif keyword == "CHANNELS":
-            header.num_channels += _check_channels(words[1:], lambda *a, n=number: refuse(n, *a))
-        elif keyword != "HIERARCHY":
-            raise refuse(number, f"unknown keyword {keyword[:40]!r}", "give a BVH file")
-        header.plain_lines.append(plain)
-    raise refuse(len(lines) - 1, "file ends inside the joint hierarchy: no MOTION block")
+            if self.open or not self.header.names:
+                raise self.refuse("MOTION before the end of the joint hierarchy")
+            return True
+        take = {
+            "ROOT": self._joint, "JOINT": self._joint, "End": self._end, "{": self._opened,
+            "}": self._closed, "OFFSET": self._offset, "CHANNELS": self._channels,
+            "HIERARCHY": lambda _: None,
+        }.get(keyword)  # fmt: skip
+        if take is None:
+            raise self.refuse(f"unknown keyword {words[0][:40]!r}", "give a BVH file")
+        take([keyword, *words[1:]])
+        return False
+
+    def _joint(self, words: list[str]) -> None:
+        header, name = self.header, " ".join(words[1:])
+        if not name:
+            raise self.refuse(f"{words[0]} needs a name")
+        if name in header.names:
+            raise self.refuse(f"joint {name[:40]!r} appears twice", "give joints other names")
+        if (words[0] == "ROOT") == bool(header.names):
+            raise self.refuse("a BVH file has one ROOT", "keep one person a file")
+        parent = self.open[-1] if self.open else -1
+        if words[0] == "JOINT" and (not self.open or parent == _SITE):
+            raise self.refuse(f"joint {name[:40]!r} is in no other joint")
+        if len(header.names) >= MAX_JOINTS:
+            raise self.refuse(f"more than {MAX_JOINTS} joints")
+        self.pending, self.expected = len(header.names), "{"
+        header.names.append(name)
+        header.parents.append(parent)
+        header.offsets.append(np.zeros(3))
+        header.channels.append([])
+
+    def _end(self, _: list[str]) -> None:
+        if not self.open or self.open[-1] == _SITE:
+            raise self.refuse("End Site is in no joint")
+        self.pending, self.expected = _SITE, "{"
+
+    def _opened(self, _: list[str]) -> None:
+        if self.pending is None:
+            raise self.refuse("a brace opens nothing")
+        self.open.append(self.pending)
+        self.pending, self.expected = None, "OFFSET"
+
+    def _closed(self, _: list[str]) -> None:
+        if not self.open:
+            raise self.refuse("one closing brace too many")
+        self.open.pop()
+
+    def _offset(self, words: list[str]) -> None:
+        offset = _numbers(words[1:], 3, self.refuse)
+        if abs(offset).max() > MAX_LENGTH:
+            raise self.refuse(f"OFFSET {' '.join(words[1:])[:60]} is no bone's length")
+        if not self.open:
+            raise self.refuse("OFFSET is in no joint")
+        joint = self.open[-1]
+        if joint == _SITE:
+            self.header.tips.setdefault(self.open[-2], offset)
+        else:
+            self.header.offsets[joint] = offset
+            self.expected = "CHANNELS"
+
+    def _channels(self, words: list[str]) -> None:
+        if not self.open or self.open[-1] == _SITE:
+            raise self.refuse("CHANNELS are in no joint")
+        count, names = words[1:2], words[2:]
+        if not count or not count[0].isdigit() or int(count[0]) > 6:
+            raise self.refuse(f"a joint with {' '.join(count)[:40] or 'no number of'} channels")
+        if len(names) != int(count[0]):
+            raise self.refuse(f"CHANNELS {count[0]} is followed by {len(names)} names")
+        channels = [_CHANNEL.get(name.lower(), "") for name in names]
+        if "" in channels or len(set(channels)) != len(channels):
+            raise self.refuse(f"{' '.join(names)[:80]!r} are not channels", "see X/Y/Zposition")
+        self.header.channels[self.open[-1]] = channels
 
 
-def _check_channels(words: list[str], refuse) -> int:
-    """Refuses channel layouts that pymotion reads wrongly or not at all; returns the count."""
-    count, channels = words[:1], words[1:]
-    if count not in (["3"], ["6"]):
-        raise refuse(
-            f"a joint with {' '.join(count) or 'no number of'} channels cannot be read",
-            "export with three rotation channels a joint (six with position)",
-        )
-    if len(channels) != int(count[0]):
-        raise refuse(f"CHANNELS {count[0]} is followed by {len(channels)} names")
-    positions, rotations = channels[:-3], channels[-3:]
-    if set(rotations) != ROTATIONS or (positions and set(positions) != set(POSITIONS)):
-        raise refuse(
-            f"channel order {' '.join(channels)} cannot be read",
-            "export with X/Y/Zposition before the three rotation channels",
-        )
-    return len(channels)
-
-
-def _numbers(words: list[str], count: int, refuse) -> None:
+def _numbers(words: list[str], count: int, refuse: Callable[[str], InputError]) -> np.ndarray:
     try:
         values = np.array(words, float)
     except ValueError:
         raise refuse(f"{' '.join(words)[:40]!r} is not {count} numbers") from None
     if len(values) != count or not np.isfinite(values).all():
         raise refuse(f"{' '.join(words)[:40]!r} is not {count} finite numbers")
+    return values
 
 
-def _check_motion(
-    lines: list[str], first: int, num_channels: int, path: Path
-) -> tuple[float, list[tuple[int, str]]]:
-    """Checks the MOTION block from line index ``first``; frame time and numbered frames."""
+def _read_motion(
+    lines: list[str], first: int, num_channels: int, path: Path, fps: float | None
+) -> tuple[float, np.ndarray]:
+    """The frame rate and the frames ``(T, C)`` of the MOTION block from line index ``first``."""
     declared, at = _value_of(lines, first, "Frames", path)
     frame_time, at = _value_of(lines, at, "Frame Time", path)
-    if declared != int(declared) or declared < 1:
+    if not np.isfinite(declared) or declared != int(declared) or declared < 1:
         raise InputError(f"Frames is {declared:g}, not a whole number above zero", path, AGAIN)
-    if not (np.isfinite(frame_time) and frame_time > 0):
-        raise InputError(f"Frame Time is {frame_time:g}, not above zero", path, AGAIN)
+    if fps is None:
+        where = f"{path}, line {at}"
+        if not (np.isfinite(frame_time) and frame_time > 0):
+            raise InputError(f"Frame Time is {frame_time:g}, not above zero", where, AGAIN)
+        # The smallest numbers have no finite inverse.
+        rate = 1.0 / max(frame_time, 1e-300)
+        fps = _nominal_fps(check_rate(rate, f"Frame Time of {frame_time:g} s", where))
     rows = [(number, line) for number, line in enumerate(lines[at:], at) if line.strip()]
     if len(rows) < declared:
         raise InputError(
@@ -189,8 +288,7 @@ def _check_motion(
             f"{path}, line {rows[int(declared)][0] + 1}",
             AGAIN,
         )
-    _check_values(rows, num_channels, path)
-    return frame_time, rows
+    return fps, _read_values(rows, num_channels, path)
 
 
 def _value_of(lines: list[str], at: int, name: str, path: Path) -> tuple[float, int]:
@@ -200,15 +298,15 @@ def _value_of(lines: list[str], at: int, name: str, path: Path) -> tuple[float, 
     where = f"{path}, line {min(at, len(lines) - 1) + 1}"
     label, _, value = (lines[at] if at < len(lines) else "").partition(":")
     try:
-        if label.split() != name.split():
+        if label.lower().split() != name.lower().split():
             raise ValueError
         return float(value), at + 1
     except ValueError:
         raise InputError(f"'{name}: NUMBER' expected after MOTION", where, AGAIN) from None
 
 
-def _check_values(rows: list[tuple[int, str]], num_channels: int, path: Path) -> None:
-    """Every row must hold ``num_channels`` finite numbers."""
+def _read_values(rows: list[tuple[int, str]], num_channels: int, path: Path) -> np.ndarray:
+    """The frames ``(T, C)``; every row must hold ``num_channels`` finite numbers."""
     for number, line in rows:
         count = len(line.split())
         if count != num_channels:
@@ -220,33 +318,21 @@ def _check_values(rows: list[tuple[int, str]], num_channels: int, path: Path) ->
     try:
         # One conversion for the whole block: ten times faster than one a value.
         values = np.array(" ".join(line for _, line in rows).split(), float)
-        if np.isfinite(values).all():
-            return
+        values = values.reshape(len(rows), num_channels)
+        if np.isfinite(values).all() and abs(values).max(initial=0.0) <= MAX_LENGTH:
+            return values
     except ValueError:
         pass
     for number, line in rows:
-        _numbers(line.split(), num_channels, _refuse_row(path, number))
+        refuse = _refuse_row(path, number)
+        if abs(_numbers(line.split(), num_channels, refuse)).max(initial=0.0) > MAX_LENGTH:
+            raise refuse(f"larger than {MAX_LENGTH:g}")
+    raise AssertionError
 
 
-def _refuse_row(path: Path, number: int):
-    return lambda what: InputError(
-        "frame holds a value that is not a finite number", f"{path}, line {number + 1}", AGAIN
+def _refuse_row(path: Path, number: int) -> Callable[[str], InputError]:
+    return lambda _: InputError(
+        f"frame holds a value that is not a finite number up to {MAX_LENGTH:g}",
+        f"{path}, line {number + 1}",
+        AGAIN,
     )
-
-
-def _load(header: _Header, frame_time: float, rows: list[tuple[int, str]]) -> Any:
-    """A checked file as pymotion's ``BVH`` reads it.
-
-    It gets a plain copy, because its parser finds keywords anywhere in a line (in a joint's
-    name too) and stumbles over blank lines and ``Frames:12``.
-    """
-    from pymotion.io.bvh import BVH  # late, for PyTorch, which it imports
-
-    bvh = BVH()
-    with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) / "plain.bvh"
-        fields = ["MOTION", f"Frames: {len(rows)}", f"Frame Time: {frame_time!r}"]
-        plain = [*header.plain_lines, *fields, *(line for _, line in rows)]
-        copy.write_text("\n".join(plain) + "\n", encoding="utf-8")
-        bvh.load(str(copy))
-    return bvh

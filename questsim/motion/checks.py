@@ -74,6 +74,8 @@ class Report:
         gravity: measured free fall in m/s^2; None where no flight was seen.
         problems: one clause for each thing that does not fit; empty if all is well.
         notes: what was assumed or changed in reading, one clause each.
+        skeleton: the family that the file's skeleton was taken for.
+        explanation: lines that say which joint was taken for what, and why.
     """
 
     units: str
@@ -85,11 +87,14 @@ class Report:
     gravity: float | None
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    skeleton: str = ""
+    explanation: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         fall = "no flight" if self.gravity is None else f"free fall {self.gravity:.1f} m/s2"
+        skeleton = f"{self.skeleton} skeleton, " if self.skeleton else ""
         return (
-            f"units {self.units}, up {self.up}, {self.fps:g} fps ({fall}), "
+            f"{skeleton}units {self.units}, up {self.up}, {self.fps:g} fps ({fall}), "
             f"{self.stature_m:.2f} m tall, faces {self.facing_deg:+.0f} deg, "
             f"feet at {100 * self.foot_height_m:.0f} cm" + "".join(f"; {n}" for n in self.notes)
         )

@@ -28,7 +28,11 @@ STRAIGHT: dict[str, tuple[str, np.ndarray]] = {
 """Limbs that the T-pose stretches: the joint at the bone's end, and the bone's direction."""
 
 MAX_STRETCH_M = 0.02
-"""Bones may change their length by as much, e.g. where the file has two neck joints."""
+"""Joints may shift in their parents by as much, in files that give the positions of all joints."""
+MIN_BONE = 0.02
+"""A limb's bone shorter than this share of the longest has no direction."""
+TOE_AHEAD, TOE_BELOW = 0.076, 0.030
+"""Ball of the foot from the ankle as fractions of stature (see ``amass``), without toes."""
 
 
 def axis_vector(axis: str) -> np.ndarray:
@@ -90,7 +94,7 @@ def to_motion(recording: Recording, family: Family, metres: float, up: str, **me
     # By joint of ours, since a file may lack some: places in metres, turns in the file's frame.
     places = {j: positions[:, column] * metres for j, column in index.items()}
     own = {j: orientations[:, column] for j, column in index.items()}
-    rest = _rest_rotations(family, _bones(places, own), where)
+    rest = _rest_rotations(family, bones(places, own), where)
     rest_quat = dict(zip(rest, rot.matrix_to_quat(np.stack(list(rest.values()))), strict=True))
     world = world_axes(up)
     world_quat = rot.matrix_to_quat(world)
@@ -103,7 +107,8 @@ def to_motion(recording: Recording, family: Family, metres: float, up: str, **me
         else:
             turned[:, joint] = turned[:, JOINT_PARENTS[joint]]
     placed = {joint: place @ world.T for joint, place in places.items()}
-    offsets = _offsets(placed, turned, where)
+    _check_rigid(recording, set(index.values()), metres)
+    offsets = _offsets(placed, turned, _toes(placed))
     return Motion(
         name=recording.path.stem,
         fps=recording.fps,
@@ -128,15 +133,15 @@ def _file_joints(recording: Recording, family: Family) -> dict[int, int]:
     return index
 
 
-def _bones(places: dict[int, np.ndarray], own: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
+def bones(places: dict[int, np.ndarray], own: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
     """Each joint's place in its nearest mapped parent's frame, the median over time ``(3,)``."""
-    bones = {}
+    out = {}
     for joint, place in places.items():
         parent = _mapped_parent(joint, places)
         if parent is not None:
             back = rot.quat_conjugate(own[parent])
-            bones[joint] = np.median(rot.quat_rotate(back, place - places[parent]), axis=0)
-    return bones
+            out[joint] = np.median(rot.quat_rotate(back, place - places[parent]), axis=0)
+    return out
 
 
 def _local(turned: np.ndarray) -> np.ndarray:
@@ -167,16 +172,25 @@ def _rest_rotations(
     shortest way, which leaves the hinge axes of knees and elbows lateral and vertical.
     """
     rest, straightened = {}, {}
+    longest = max(float(np.linalg.norm(bone)) for bone in bones.values())
     for joint, name in enumerate(JOINTS):
         if name not in family.joints:
             continue
-        matrix = axes_matrix(family.axes_of(name), where)
+        found = family.rest.get(name)
+        matrix = axes_matrix(family.axes_of(name), where) if found is None else found
         part = name.split("_")[-1]
         pitch = {"ankle": family.foot_pitch, "toe": family.toe_pitch}.get(part, 0.0)
         matrix = matrix @ Rotation.from_euler("y", -pitch).as_matrix()
         turn = np.eye(3)
         if name in STRAIGHT:
             child, direction = STRAIGHT[name]
+            if np.linalg.norm(bones[JOINTS.index(child)]) <= MIN_BONE * longest:
+                raise InputError(
+                    f"the bone from {family.joints[name]!r} to {family.joints[child]!r} has no "
+                    "length",
+                    where,
+                    "export with all bones, or map other joints",
+                )
             turn = _shortest_turn(matrix.T @ bones[JOINTS.index(child)], direction)
         elif part == "wrist" or (part in ("ankle", "toe") and family.feet_follow_shins):
             turn = straightened[JOINT_PARENTS[joint]]
@@ -195,7 +209,46 @@ def _shortest_turn(vector: np.ndarray, onto: np.ndarray) -> np.ndarray:
     return Rotation.from_rotvec(axis / sine * np.arctan2(sine, vector @ onto)).as_matrix()
 
 
-def _offsets(placed: dict[int, np.ndarray], turned: np.ndarray, where: str) -> np.ndarray:
+def _check_rigid(recording: Recording, mapped: Container[int], metres: float) -> None:
+    """Refuses bones that change their length, in files that give the places of all joints."""
+    length = np.linalg.norm(recording.positions, axis=-1) * metres
+    for joint, parent in enumerate(recording.parents):
+        above = int(parent)
+        while above >= 0 and above not in mapped:
+            above = int(recording.parents[above])
+        if joint not in mapped or above < 0:
+            continue
+        stretch = abs(length[:, joint] - np.median(length[:, joint]))
+        if stretch.max() > MAX_STRETCH_M:
+            raise InputError(
+                f"{recording.names[joint][:40]!r} is {100 * stretch.max():.1f} cm further from its "
+                f"parent or nearer at frame {int(stretch.argmax())}: bones are not rigid",
+                str(recording.path),
+                "export with rigid bones",
+            )
+
+
+def _toes(placed: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
+    """Offsets ``(3,)`` of toes that the file lacks, for legs of their length."""
+
+    def length(a: str, b: str) -> float:
+        bone = placed[JOINTS.index(a)] - placed[JOINTS.index(b)]
+        return float(np.median(np.linalg.norm(bone, axis=-1)))
+
+    legs = [
+        length(f"{side}_{a}", f"{side}_{b}")
+        for side in ("left", "right")
+        for a, b in (("hip", "knee"), ("knee", "ankle"))
+    ]
+    stature = sum(legs) / 2.0 / (0.530 - 0.039)
+    toe = np.array([TOE_AHEAD, 0.0, -TOE_BELOW]) * stature
+    missing = [JOINTS.index(f"{s}_toe") for s in ("left", "right")]
+    return {joint: toe for joint in missing if joint not in placed}
+
+
+def _offsets(
+    placed: dict[int, np.ndarray], turned: np.ndarray, toes: dict[int, np.ndarray]
+) -> np.ndarray:
     """Offsets ``(22, 3)`` of all joints in their parents; missing ones are put halfway.
 
     Where a joint's place in its parent varies (the file bends at a joint that we lack), the
@@ -205,6 +258,9 @@ def _offsets(placed: dict[int, np.ndarray], turned: np.ndarray, where: str) -> n
     placed = dict(placed)
     for joint in range(1, NUM_JOINTS):
         parent = JOINT_PARENTS[joint]
+        if joint in toes:
+            offsets[joint] = toes[joint]
+            continue
         missing = joint not in placed
         target = placed[_next_mapped(joint, placed)] if missing else placed[joint]
         inverse = rot.quat_conjugate(turned[:, parent])
@@ -217,15 +273,6 @@ def _offsets(placed: dict[int, np.ndarray], turned: np.ndarray, where: str) -> n
         offsets[joint] = mean
         if np.linalg.norm(bone - mean, axis=-1).max() > 1e-3 and JOINT_PARENTS.count(parent) == 1:
             _aim(turned[:, parent], bone, mean)
-            bone = mean * (np.linalg.norm(bone, axis=-1) / np.linalg.norm(mean))[:, None]
-        stretch = np.linalg.norm(bone - mean, axis=-1)
-        if stretch.max() > MAX_STRETCH_M:
-            raise InputError(
-                f"{JOINTS[joint]} moves by {100 * stretch.max():.1f} cm in its parent's frame "
-                f"at frame {int(stretch.argmax())}: bones are not rigid",
-                where,
-                "export with rigid bones",
-            )
     return offsets
 
 
@@ -240,6 +287,8 @@ def _next_mapped(joint: int, placed: dict[int, np.ndarray]) -> int:
 
 def _aim(turned: np.ndarray, bone: np.ndarray, mean: np.ndarray) -> None:
     """Turns orientations ``(T, 4)`` in place so that ``mean`` points along each ``bone``."""
+    if min(np.linalg.norm(mean), np.linalg.norm(bone, axis=-1).min()) < 1e-6:
+        return
     a = mean / np.linalg.norm(mean)
     b = bone / np.linalg.norm(bone, axis=-1, keepdims=True)
     half = np.concatenate([1.0 + b @ a[:, None], np.cross(a, b)], axis=-1)

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from questsim import rotations as rot
 from questsim.errors import InputError
-from questsim.motion.recording import AGAIN, Recording, decode, read_bytes
+from questsim.motion.recording import AGAIN, Recording, check_rate, decode, read_bytes
 
 # Name, parent, place in the parent in metres, where the joint's turn begins in a row, and how
 # many numbers it has: 4 quaternion wxyz, 1 angle about z, 0 fixed. x forward, y up, z right. Head
@@ -77,7 +77,8 @@ def read_deepmimic(path: str | Path, fps: float | None = None) -> Recording:
     if fps is None:
         times = _times(frames, path)
         step = float(np.median(np.diff(times))) if len(times) > 1 else 1 / 30
-        fps, even = 1.0 / step, np.arange(len(times)) * step
+        fps = check_rate(1.0 / step, f"a frame of {step:g} s", path)
+        even = np.arange(len(times)) * step
         # Durations are rounded to five digits: below half a frame in all it is still even.
         uneven = bool(abs(times - even).max() > 0.5 * step)
     else:

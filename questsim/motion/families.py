@@ -1,4 +1,4 @@
-"""Skeletons of mocap files, recognised by their joints' names, never by their order.
+"""Skeletons of mocap files that are known by their joints' names, never by their order.
 
 A family says which file joint plays each of the 22 joints of a ``Motion`` and how that joint's
 own axes lie in the T-pose; ``convert.py`` does the rest.
@@ -11,13 +11,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from questsim.errors import InputError
 from questsim.skeleton import JOINTS
 
-OPTIONAL = ("spine1", "spine2", "spine3", "neck", "left_clavicle", "right_clavicle")
-"""Joints that a file may lack: they are put halfway to the next one and do not turn."""
+OPTIONAL = (
+    "spine1", "spine2", "spine3", "neck", "left_clavicle", "right_clavicle", "left_toe", "right_toe"
+)  # fmt: skip
+"""Joints that a file may lack: they do not turn and are put halfway to the next one; toes where
+a foot of the legs' length has them."""
 
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "cmu": 0.0254 / 0.45}
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "cmu": 0.0254 / 0.45, "dm": 0.1}
 """Metres a unit. CMU's skeletons are in inches times 0.45 (the ASF files' length unit)."""
 
 UP_AXES = ("y", "z", "x", "-y", "-z", "-x")
@@ -32,27 +37,36 @@ class Family:
         joints: our joint's name to the file's.
         axes: for each joint, which of its own axes point forward, left and up in the T-pose,
             e.g. ``"z -y x"``; a joint that is not listed takes ``zero_axes``.
-        zero_axes: the same for a skeleton whose zero pose is a T-pose with all axes alike.
+        zero_axes: the same for a skeleton whose zero pose is a T-pose with all axes alike; None
+            to find all axes in the file.
         up: the file's up axis (``"x"``, ``"-y"``, ...); None to detect it.
         units: a key of ``UNITS``; None to detect them.
         foot_pitch: radians by which the ankle joint's forward axis points below the horizontal
             when the sole is flat; ``toe_pitch`` likewise for the toe joint.
         feet_follow_shins: whether the zero pose splays legs and feet as one.
+        rest: for joints whose axes were found in the file (``rest.find_rest``) forward, left and
+            up as columns in the joint's own frame ``(3, 3)``; they count before ``axes``.
     """
 
     name: str
     joints: Mapping[str, str]
     axes: Mapping[str, str] = field(default_factory=dict)
-    zero_axes: str = "z x y"
+    zero_axes: str | None = "z x y"
     up: str | None = "y"
     units: str | None = "cm"
     foot_pitch: float = 0.0
     toe_pitch: float = 0.0
     feet_follow_shins: bool = False
+    rest: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def axes_of(self, joint: str) -> str:
-        """The forward, left and up axes of our ``joint``."""
-        return self.axes.get(joint, self.zero_axes)
+        """The forward, left and up axes of our ``joint`` as declared."""
+        return self.axes.get(joint, self.zero_axes or "z x y")
+
+    @property
+    def axes_declared(self) -> bool:
+        """Whether the axes are known without looking at a file."""
+        return self.zero_axes is not None or bool(self.axes) or bool(self.rest)
 
 
 def _sides(joints: Mapping[str, str], left: str, right: str) -> dict[str, str]:
@@ -203,26 +217,9 @@ FAMILIES: tuple[Family, ...] = (
 )  # fmt: skip
 
 
-def recognise(names: Sequence[str], where: str | Path) -> Family:
-    """The first family all of whose joints are among the file's ``names``.
-
-    Raises:
-        InputError: no family fits; the message says which came closest and what it lacks.
-    """
-    missing = {
-        family: [joint for joint in family.joints.values() if joint not in names]
-        for family in FAMILIES
-    }
-    nearest = min(missing, key=lambda family: len(missing[family]))
-    if not missing[nearest]:
-        return nearest
-    known = ", ".join(family.name for family in FAMILIES)
-    lacking = ", ".join(missing[nearest][:4])
-    raise InputError(
-        f"unknown skeleton (nearest is {nearest.name}, but there is no joint {lacking})",
-        where,
-        f"known are {known}; for another give --mapping FILE.toml",
-    )
+def known(names: Sequence[str]) -> Family | None:
+    """The first family all of whose joints are among the file's ``names``."""
+    return next((f for f in FAMILIES if set(f.joints.values()) <= set(names)), None)
 
 
 def load_mapping(path: str | Path) -> Family:
@@ -231,8 +228,9 @@ def load_mapping(path: str | Path) -> Family:
     ``[joints]`` gives the file's name of each of our joints (those of ``OPTIONAL`` may be left
     out); optional keys are ``name``, ``units`` (``m``, ``cm``, ``mm``, ``inch``, ``cmu``),
     ``up`` (the file's up axis), ``zero_axes`` (the forward, left and up axes of the T-pose
-    that all-zero rotations give, default ``"z x y"``), ``foot_pitch`` and ``toe_pitch`` in
-    radians, ``feet_follow_shins``, and a table ``[axes]`` with the axes of single joints.
+    that all-zero rotations give, such as ``"z x y"``; without it the file's own rest pose or
+    motion shows all axes), ``foot_pitch`` and ``toe_pitch`` in radians, ``feet_follow_shins``,
+    and a table ``[axes]`` with the axes of single joints.
 
     Raises:
         InputError: the file is missing or not TOML, or a key or value is not one of these.
@@ -246,7 +244,9 @@ def load_mapping(path: str | Path) -> Family:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"mapping file cannot be read ({error})", path) from None
     table = {"name": path.stem, "joints": {}, "up": None, "units": None} | table
-    fields = Family.__dataclass_fields__
+    if not table.get("axes"):
+        table.setdefault("zero_axes", None)
+    fields = [name for name in Family.__dataclass_fields__ if name != "rest"]
     _check_types(table, path)
     unknown = [key for key in table if key not in fields]
     joints = table["joints"]
@@ -261,6 +261,9 @@ def load_mapping(path: str | Path) -> Family:
     family = Family(**table)
     for joint in JOINTS:
         _check_axes(family.axes_of(joint), path)
+    twice = [name for name in joints.values() if list(joints.values()).count(name) > 1]
+    if twice:
+        raise InputError(f"[joints] uses {twice[0][:80]!r} twice", path, "name each joint once")
     return family
 
 
@@ -268,14 +271,19 @@ def _check_types(table: dict[str, object], path: Path) -> None:
     """Refuse values of another type than ``Family`` has; unknown keys are not looked at."""
     number, text = (int, float), (str, type(None))
     kinds = {"joints": dict, "axes": dict, "foot_pitch": number, "toe_pitch": number}
-    kinds |= {"name": str, "zero_axes": str, "up": text, "units": text, "feet_follow_shins": bool}
+    kinds |= {"name": str, "zero_axes": text, "up": text, "units": text, "feet_follow_shins": bool}
     wrong = [key for key, value in table.items() if not isinstance(value, kinds.get(key, object))]
     for group in ("joints", "axes"):
         entries = table.get(group, {})
         if isinstance(entries, dict):
             wrong += [f"{group}.{key}" for key, v in entries.items() if not isinstance(v, str)]
+    wrong += [key for key in ("foot_pitch", "toe_pitch") if isinstance(table.get(key), bool)]
     if wrong:
-        raise InputError(f"the value of {wrong[0]!r} is of the wrong type", path)
+        raise InputError(f"the value of {wrong[0][:80]!r} is of the wrong type", path)
+    for key in ("foot_pitch", "toe_pitch"):
+        value = table.get(key, 0.0)
+        if not (isinstance(value, number) and abs(value) <= np.pi / 2):
+            raise InputError(f"{key} is {value}, not radians up to pi / 2", path)
     if table.get("up") not in (None, *UP_AXES):
         raise InputError(f"up axis {table['up']!r}", path, f"choose one of {', '.join(UP_AXES)}")
 

@@ -6,7 +6,6 @@ Clips are stored as poses at 36 Hz; velocities, link poses and contacts follow f
 from __future__ import annotations
 
 import re
-import zipfile
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -19,11 +18,14 @@ from questsim.errors import InputError
 from questsim.files import whole_file
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.motion import Motion
+from questsim.motion.npz import open_npz
 from questsim.skeleton import DOFS, JOINT_PARENTS, JOINTS, LINKS, NUM_DOFS, NUM_JOINTS
 
 FORMAT, VERSION = "questsim-library", 1
 ABOUT = ("source", "source_sha256", "licence", "kind", "style")
 AGAIN = "import the motions again with this version"
+MAX_ARRAY_BYTES = 4 << 30
+"""An array of a library may take 4 GiB: 100 hours of rotations."""
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 
 HEADER: dict[str, np.ndarray] = {
@@ -94,31 +96,20 @@ def load_library(
             a key, or holds numbers that are not finite or hashes that are none.
     """
     path = Path(path)
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            _check_header(archive, path)
-            return Library(
-                motions=_load_motions(archive, path, names) if motions else [],
-                clips=_load_clips(archive, path, names) if clips else [],
-            )
-    except FileNotFoundError:
-        raise InputError("no such file", path) from None
-    except InputError:
-        raise
-    except KeyError as error:
-        # NumPy's message begins with the array's name.
-        name = str(error.args[0]).split(" ")[0]
-        raise InputError(f"library lacks {name!r}", path, AGAIN) from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"cannot be read as a library ({error})", path, AGAIN) from None
+    with open_npz(path, MAX_ARRAY_BYTES, "a library") as archive:
+        _check_header(archive, path)
+        return Library(
+            motions=_load_motions(archive, path, names) if motions else [],
+            clips=_load_clips(archive, path, names) if clips else [],
+        )
 
 
 def is_library(path: str | Path) -> bool:
     """Whether a file is an .npz that calls itself a QuestSim library, of whatever version."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with open_npz(Path(path), 1000) as archive:
             return "format" in archive.files and str(archive["format"]) == FORMAT
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+    except InputError:
         return False
 
 

@@ -15,7 +15,8 @@ from questsim.errors import InputError
 from questsim.motion.clip import Clip
 from questsim.motion.datasets import DATASETS, fetch
 from questsim.motion.library import load_library, save_library
-from questsim.motion.reading import ReadOptions
+from questsim.motion.reading import ReadOptions, read_recording
+from questsim.motion.skeletons import write_mapping
 from questsim.motion.sources import KINDS, motion_files
 from questsim.motion.spec import Retargeted, load_motions, read_many, split_libraries
 
@@ -30,16 +31,16 @@ class ImportArgs:
     """BVH, ASF/AMC, DeepMimic or AMASS .npz files, libraries, or folders or zips of these."""
     out: str
     """The library to write, LIBRARY.npz."""
-    units: Literal["m", "cm", "mm", "inch", "cmu"] | None = None
+    units: Literal["m", "cm", "mm", "inch", "cmu", "dm"] | None = None
     """Units of the files; detected if not given (cmu: inches times 0.45)."""
     up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
     """Up axis of the files; detected if not given."""
     fps: float | None = None
     """True frame rate; that of the files if not given."""
     mapping: str | None = None
-    """A mapping file (TOML) for a skeleton that is not known."""
+    """A mapping file (TOML) for a skeleton that is not recognised."""
     height: float | None = None
-    """The subject's height in metres, for AMASS files."""
+    """The subject's height in metres, to which the skeleton is scaled."""
     smpl: str | None = None
     """A SMPL model (.npz) that gives AMASS files the subject's own skeleton."""
     licence: str = ""
@@ -48,6 +49,18 @@ class ImportArgs:
     """Add a mirrored copy of each motion."""
     accept: bool = False
     """Take files even where they fail the physical checks."""
+    explain: bool = False
+    """Print which joint of the file was taken for what, and why."""
+
+
+@dataclass
+class MappingArgs:
+    """Write a mapping file with the joints that are recognised; fill in and correct the rest."""
+
+    path: tyro.conf.Positional[str]
+    """A motion file of the skeleton."""
+    out: str
+    """The mapping file to write, RIG.toml."""
 
 
 @dataclass
@@ -90,7 +103,7 @@ def import_motions(args: ImportArgs) -> None:
     files = [file for path in args.paths for file in motion_files(path)]
     files = [file for file in files if file.resolve() != out.resolve()]
     raw, libraries = split_libraries(files)
-    done = _read(raw, options)
+    done = _read(raw, options, args.explain)
     motions, clips = [r.motion for r in done], [r.clip for r in done]
     for file in libraries:
         library = load_library(file)
@@ -117,16 +130,30 @@ def check_library_path(out: Path) -> None:
         raise InputError("no such folder", out.parent, "create it first")
 
 
-def _read(files: Sequence[Path], options: ReadOptions) -> list[Retargeted]:
+def _read(files: Sequence[Path], options: ReadOptions, explain: bool) -> list[Retargeted]:
     """All files, read and retargeted; says of the first ones how they were taken."""
     done = []
     for index, result in enumerate(read_many(files, options, with_error=True)):
         if index < MAX_REPORTS:
             print(f"{result.motion.name}: {len(result.motion)} frames, {result.report}")
+            if explain:
+                print("\n".join(result.explanation))
         elif index == MAX_REPORTS:
             print(f"... and {len(files) - MAX_REPORTS} more")
         done.append(result)
     return done
+
+
+def start_mapping(args: MappingArgs) -> None:
+    """Writes a mapping file for a motion file's skeleton.
+
+    Raises:
+        InputError: the motion cannot be read, or the file not be written.
+    """
+    if Path(args.out).suffix.lower() != ".toml":
+        raise InputError("a mapping file's name ends in .toml", args.out)
+    todo = write_mapping(read_recording(Path(args.path)), Path(args.out))
+    print(f"{args.out}: {todo}")
 
 
 def fetch_dataset(args: FetchArgs) -> None:

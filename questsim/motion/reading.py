@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from questsim.errors import InputError
-from questsim.motion.amass import is_amass, read_amass
+from questsim.motion.amass import read_amass
+from questsim.motion.anatomy import anatomy_problems
 from questsim.motion.asf_amc import read_asf_amc
 from questsim.motion.bvh import read_bvh
 from questsim.motion.checks import (
@@ -25,9 +26,11 @@ from questsim.motion.checks import (
 )
 from questsim.motion.convert import axis_vector, global_pose, to_motion
 from questsim.motion.deepmimic import read_deepmimic
-from questsim.motion.families import SMPL, UNITS, UP_AXES, Family, load_mapping, recognise
+from questsim.motion.families import SMPL, UNITS, UP_AXES, Family, load_mapping
 from questsim.motion.motion import Motion
-from questsim.motion.recording import Recording
+from questsim.motion.recording import MAX_FPS, MIN_FPS, Recording
+from questsim.motion.rest import some_frames
+from questsim.motion.skeletons import find_skeleton, without_rest_frame
 from questsim.motion.sources import TEXT_SUFFIXES
 from questsim.skeleton import JOINTS
 
@@ -43,7 +46,7 @@ class ReadOptions:
         up: the up axis, one of ``UP_AXES``.
         fps: the true frame rate.
         mapping: a mapping file for an unknown skeleton (see ``families.load_mapping``).
-        height_m: the subject's stature, for AMASS files.
+        height_m: the subject's stature, to which the skeleton is scaled.
         smpl_file: a SMPL model file, for AMASS files.
         licence: the data's licence.
         accept: take the file even where it fails the checks.
@@ -63,8 +66,12 @@ class ReadOptions:
             raise InputError(f"units {self.units!r}", fix=f"choose one of {', '.join(UNITS)}")
         if self.up not in (None, *UP_AXES):
             raise InputError(f"up axis {self.up!r}", fix=f"choose one of {', '.join(UP_AXES)}")
-        if self.fps is not None and not self.fps > 0:
-            raise InputError(f"frame rate {self.fps:g} is not above zero", "--fps")
+        if self.fps is not None and not MIN_FPS <= self.fps <= MAX_FPS:
+            what = f"frame rate {self.fps:g} is not within {MIN_FPS:g}-{MAX_FPS:g}"
+            raise InputError(what, "--fps")
+        if self.height_m is not None and not MIN_STATURE_M <= self.height_m <= MAX_STATURE_M:
+            what = f"{self.height_m:g} m is no stature within {MIN_STATURE_M}-{MAX_STATURE_M} m"
+            raise InputError(what, "--height")
 
 
 def read_motion(
@@ -85,9 +92,8 @@ def read_motion(
     if path.suffix.lower() == ".npz":
         motion, report = _read_amass(path, options)
     else:
-        recording = _recording(path, options)
+        recording = read_recording(path, options.fps)
         motion, report = _on_own_skeleton(recording, options, family)
-        report = replace(report, notes=(*recording.notes, *report.notes))
     motion, report = _on_floor(motion, report)
     if not options.accept:
         refuse(report, str(path))
@@ -101,85 +107,94 @@ def _on_floor(motion: Motion, report: Report) -> tuple[Motion, Report]:
     down = np.array([0.0, 0.0, report.foot_height_m])
     motion = replace(motion, root_position=motion.root_position - down)
     note = f"moved by {-report.foot_height_m:+.2f} m onto the floor"
-    return motion, replace(check(motion, report.units, report.up), notes=(*report.notes, note))
+    again = check(motion, report.units, report.up)
+    return motion, replace(
+        report,
+        foot_height_m=again.foot_height_m,
+        problems=tuple(p for p in report.problems if not p.startswith("the feet are")),
+        notes=(*report.notes, note),
+    )
 
 
 def _read_amass(path: Path, options: ReadOptions) -> tuple[Motion, Report]:
-    if not is_amass(path):
-        # Also says why a file is none: missing, empty, no .npz.
-        read_amass(path)
-    recording = read_amass(path, height_m=options.height_m, smpl_file=options.smpl_file)
-    if options.fps:
-        recording = replace(recording, fps=options.fps)
+    recording = read_amass(
+        path, height_m=options.height_m, smpl_file=options.smpl_file, fps=options.fps
+    )
     units, up = options.units or "m", options.up or "z"
     motion = to_motion(recording, SMPL, UNITS[units], up, licence=options.licence)
     return motion, check(motion, units, up)
 
 
-def _recording(path: Path, options: ReadOptions) -> Recording:
-    """The file by its ending; text that is not BVH or AMC is DeepMimic's."""
+def read_recording(path: Path, fps: float | None = None) -> Recording:
+    """A motion file, by its ending, on its own skeleton.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
     suffix = path.suffix.lower()
+    if suffix == ".npz":
+        return read_amass(path, fps=fps)
     if suffix in TEXT_SUFFIXES:
-        return read_deepmimic(path, options.fps)
-    recording = read_asf_amc(path, options.fps) if suffix == ".amc" else read_bvh(path)
-    return replace(recording, fps=options.fps) if options.fps else recording
+        return read_deepmimic(path, fps)
+    return (read_asf_amc if suffix == ".amc" else read_bvh)(path, fps)
 
 
 def _on_own_skeleton(
-    recording: Recording, options: ReadOptions, family: Family | None
+    recording: Recording, options: ReadOptions, declared: Family | None
 ) -> tuple[Motion, Report]:
-    path = recording.path
-    if family is None:
-        family = load_mapping(options.mapping) if options.mapping else None
-    family = family or recognise(recording.names, path)
+    if declared is None and options.mapping:
+        declared = load_mapping(options.mapping)
+    skeleton = find_skeleton(recording, declared)
+    recording, family = without_rest_frame(skeleton.recording, skeleton.family), skeleton.family
     about = {"licence": options.licence}
-    if named := _CLIP_NAME.fullmatch(path.stem):
+    if named := _CLIP_NAME.fullmatch(recording.path.stem):
         about |= named.groupdict()
+    said = {"notes": recording.notes, "explanation": skeleton.explanation, "skeleton": family.name}
     usual = f"as {family.name} files"
-    if family.units and family.up and not (options.units or options.up):
+    if family.units and family.up and not (options.units or options.up or options.height_m):
         motion = to_motion(recording, family, UNITS[family.units], family.up, **about)
         report = check(motion, f"{family.units} ({usual})", f"{family.up} ({usual})")
         if not report.problems:
-            return motion, report
-    units, units_note = _units(recording, family, options)
+            return motion, replace(report, **said)
+    metres, units = _units(recording, family, options)
     up, up_note = _up_axis(recording, family, options)
-    motion = to_motion(recording, family, UNITS[units], up, **about)
-    return motion, check(motion, f"{units} ({units_note})", f"{up} ({up_note})")
+    motion = to_motion(recording, family, metres, up, **about)
+    report = replace(check(motion, units, f"{up} ({up_note})"), **said)
+    if family.rest and not report.problems:
+        report = replace(report, problems=tuple(anatomy_problems(motion)))
+    return motion, report
 
 
-def _units(recording: Recording, family: Family, options: ReadOptions) -> tuple[str, str]:
-    """The file's units and how they are known.
+def _units(recording: Recording, family: Family, options: ReadOptions) -> tuple[float, str]:
+    """Metres a unit of the file, the units and how they are known.
 
     What a family usually has is believed only if it gives a person's height.
     """
     if options.units:
-        return options.units, "declared"
+        return UNITS[options.units], f"{options.units} (declared)"
     # One frame is enough for bone lengths, and in one frame no bone can stretch.
     first = replace(recording, positions=recording.positions[:1], rotations=recording.rotations[:1])
     height = stature(to_motion(first, family, 1.0, family.up or "y"))
+    if options.height_m:
+        metres = options.height_m / max(height, 1e-9)
+        return metres, f"{metres:.3g} m (declared height)"
     fitting = [u for u, m in UNITS.items() if MIN_STATURE_M <= height * m <= MAX_STATURE_M]
     if family.units in fitting or (family.units and not fitting):
-        return family.units, f"as {family.name} files"
+        return UNITS[family.units], f"{family.units} (as {family.name} files)"
     if not fitting:
         raise InputError(
             f"the skeleton is {height:.3g} units tall, a person in none of {', '.join(UNITS)}",
             recording.path,
-            "scale it to one of these",
+            "declare the performer's height with --height",
         )
-    return fitting[0], "detected"
+    return UNITS[fitting[0]], f"{fitting[0]} (detected)"
 
 
 def _up_axis(recording: Recording, family: Family, options: ReadOptions) -> tuple[str, str]:
     """The file's up axis and how it is known: where the head is above the feet."""
     if options.up:
         return options.up, "declared"
-    every = max(1, len(recording.positions) // 200)
-    few = replace(
-        recording,
-        positions=recording.positions[::every],
-        rotations=recording.rotations[::every],
-    )
-    position, _ = global_pose(few)
+    position, _ = global_pose(some_frames(recording, 200))
     ours = np.zeros((len(position), len(JOINTS), 3))
     for joint in ("head", "left_ankle", "right_ankle"):
         ours[:, JOINTS.index(joint)] = position[:, recording.names.index(family.joints[joint])]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +14,10 @@ from questsim.errors import InputError
 AGAIN = "download or export the file again"
 MAX_FILE_BYTES = 1 << 30
 """A motion file larger than 1 GiB is refused: an hour at 120 Hz is less than half of it."""
+MIN_FPS, MAX_FPS = 10.0, 1000.0
+"""Frame rates beyond these are errors of the file, such as a rate where the time should be."""
+MAX_LENGTH = 1e6
+"""Positions and bones beyond a million units are errors of the file."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +65,9 @@ def read_bytes(path: Path) -> bytes:
 
 
 def decode(data: bytes, path: Path) -> str:
-    """The text of a file in UTF-8 or, where it is not that, in an older encoding.
+    """The text of a file in UTF-8 or, where it is not that, in Shift-JIS or Latin-1.
 
-    The keywords and numbers of motion files are ASCII in all of them, joint names may be not:
-    Shift-JIS is tried before Latin-1, which fits any bytes.
+    The keywords and numbers of motion files are ASCII in all of them, joint names may be not.
 
     Raises:
         InputError: the file is binary.
@@ -73,10 +77,28 @@ def decode(data: bytes, path: Path) -> str:
     elif b"\0" in data:
         raise InputError("is not a text file", path, "give a motion file")
     else:
-        encodings = ["utf-8-sig", "shift_jis", "latin-1"]
+        # Japanese letters come in rows of high bytes, accented ones alone among ASCII.
+        high = re.findall(rb"[\x80-\xff]+", data[:100_000])
+        rows = sum(len(run) > 1 for run in high) > len(high) / 2
+        encodings = ["utf-8-sig", *(["shift_jis"] if rows else []), "latin-1"]
     for encoding in encodings:
         try:
             return data.decode(encoding)
         except UnicodeDecodeError:
             continue
     raise InputError("is not a text file", path, "give a motion file")
+
+
+def check_rate(fps: float, what: str, where: str | Path) -> float:
+    """``fps``, if a motion can have been recorded at it.
+
+    Raises:
+        InputError: it is not within ``MIN_FPS`` to ``MAX_FPS``; ``what`` says what gave it.
+    """
+    if not MIN_FPS <= fps <= MAX_FPS:
+        raise InputError(
+            f"{what} means {fps:.3g} frames a second, not {MIN_FPS:g}-{MAX_FPS:g}",
+            where,
+            "declare the true rate with --fps",
+        )
+    return fps

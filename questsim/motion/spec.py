@@ -23,9 +23,12 @@ from questsim.motion.clip import Clip
 from questsim.motion.library import VERSION, Library, is_library, load_library, save_library
 from questsim.motion.motion import Motion
 from questsim.motion.reading import ReadOptions, read_motion
+from questsim.motion.skeletons import RECOGNISED
 from questsim.motion.sources import content_digest, motion_files
 
 SYNTHETIC = "synthetic"
+MAX_ERROR_CM = 15.0
+"""A recognised skeleton whose clip is further off in any joint is refused."""
 MANY = 64
 """From this many files on, two processes read them and a progress bar is shown."""
 
@@ -103,6 +106,7 @@ class Retargeted:
     clip: Clip
     report: str
     error_cm: dict[str, float]
+    explanation: tuple[str, ...] = ()
 
 
 def read_and_retarget(path: Path, options: ReadOptions, with_error: bool = False) -> Retargeted:
@@ -111,8 +115,17 @@ def read_and_retarget(path: Path, options: ReadOptions, with_error: bool = False
 
     motion, report = read_motion(path, options)
     clip = to_clip(motion)
-    error = retargeting_error(motion, clip) if with_error else {}
-    return Retargeted(motion, clip, str(report), error)
+    recognised = report.skeleton == RECOGNISED and not options.accept
+    error = retargeting_error(motion, clip) if with_error or recognised else {}
+    if recognised and max(error.values()) > MAX_ERROR_CM:
+        joint = max(error, key=lambda name: error[name])
+        raise InputError(
+            f"retargeted, the {joint} is {error[joint]:.0f} cm off on average: the skeleton is "
+            "not what it was recognised as",
+            path,
+            "see import --explain, and name the joints in a mapping file",
+        )
+    return Retargeted(motion, clip, str(report), error, report.explanation)
 
 
 def read_many(

@@ -1,0 +1,86 @@
+"""Is a motion one of a human body: bones of human proportions, joints that bend the right way?"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from questsim.motion.motion import Motion
+from questsim.skeleton import JOINTS
+
+RATIOS: tuple[tuple[str, tuple[str, ...], tuple[str, ...], float, float], ...] = (
+    ("shin and thigh", ("ankle",), ("knee",), 0.6, 1.6),
+    ("forearm and upper arm", ("wrist",), ("elbow",), 0.45, 1.6),
+    ("arm and leg", ("elbow", "wrist"), ("knee", "ankle"), 0.35, 1.1),
+    ("foot and shin", ("toe",), ("ankle",), 0.05, 0.9),
+)
+"""Name, bones that are compared (each named by its lower joint), least and largest ratio.
+
+Of people they are 0.8-1.1, 0.7-0.9, 0.6-0.75 and 0.4-0.5 (Drillis and Contini 1966); skeletons of
+mocap software differ more, since they put joints where it suits them.
+"""
+MAX_ASYMMETRY = 0.3
+"""Largest difference between left and right limbs as a share of their mean."""
+MIN_ELBOW = 0.4
+"""Mean backward bend of both elbows that no one does; hands held behind the back stay below."""
+MIN_BEND = 0.2
+"""A limb must bend by this much (sine) on average before its direction counts."""
+
+
+def anatomy_problems(motion: Motion) -> list[str]:
+    """One clause for each thing that is not human about a motion; empty if all is well."""
+    length = {
+        name: float(np.linalg.norm(motion.offsets[joint])) for joint, name in enumerate(JOINTS)
+    }
+    out = []
+    for name, above, below, low, high in RATIOS:
+        ratio = _total(length, above) / max(_total(length, below), 1e-9)
+        if not low <= ratio <= high:
+            out.append(f"{name} are as {ratio:.2f} to 1, not {low:g}-{high:g}")
+    for limb, bones in (("legs", ("knee", "ankle")), ("arms", ("elbow", "wrist"))):
+        sides = [sum(length[f"{side}_{bone}"] for bone in bones) for side in ("left", "right")]
+        if abs(sides[0] - sides[1]) > MAX_ASYMMETRY * sum(sides) / 2.0:
+            out.append(f"the left and right {limb} are {sides[0]:.2f} and {sides[1]:.2f} m long")
+    return out + _bends(motion)
+
+
+def _total(length: dict[str, float], bones: tuple[str, ...]) -> float:
+    return sum(length[f"{side}_{bone}"] for side in ("left", "right") for bone in bones)
+
+
+def _bends(motion: Motion) -> list[str]:
+    """Knees and elbows that bend backwards, against the front that hips and toes show."""
+    position, _ = motion.forward_kinematics()
+
+    def at(name: str) -> np.ndarray:
+        return position[:, JOINTS.index(name)]
+
+    out = []
+    for side in ("left", "right"):
+        thigh, shin = (
+            at(f"{side}_{b}") - at(f"{side}_{a}") for a, b in (("hip", "knee"), ("knee", "ankle"))
+        )
+        foot = at(f"{side}_toe") - at(f"{side}_ankle")
+        # Where the knee is ahead of the line from hip to ankle, the toes point that way.
+        ahead = _unit(thigh) - _unit(shin)
+        along = _unit(shin)
+        foot = _unit(foot - np.sum(foot * along, axis=-1, keepdims=True) * along)
+        bend = np.sum(ahead * foot, axis=-1)
+        if np.mean(abs(bend)) > MIN_BEND and np.mean(bend) < -0.5 * np.mean(abs(bend)):
+            out.append(f"the {side} knee bends backwards: its axes or left and right are wrong")
+    left = at("left_shoulder") - at("right_shoulder")
+    front = _unit(np.cross(left, at("neck") - at("spine1")))
+    elbows = np.stack(
+        [
+            _unit(at(f"{side}_wrist") - at(f"{side}_elbow"))
+            - _unit(at(f"{side}_elbow") - at(f"{side}_shoulder"))
+            for side in ("left", "right")
+        ]
+    )
+    bend = np.sum(elbows * front, axis=-1)
+    if (bend.mean(axis=1) < -MIN_ELBOW).all() and (bend < 0).mean() > 0.9:
+        out.append("both elbows bend backwards: the axes or left and right are wrong")
+    return out
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-9)

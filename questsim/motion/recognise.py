@@ -1,0 +1,286 @@
+"""Which joint of a file plays which of ours, by names, hierarchy and bone lengths together.
+
+Limbs are chains of sided joints. Of each chain every choice of thigh, shin, foot and toe (or
+collarbone, arm, forearm and hand) is tried; the names' words and the bones' lengths give points,
+and the best chains are legs and arms. What lies between the legs' and the arms' common joints
+is the spine, what leads on to the head the neck. Joints that we lack are folded: between spine
+joints that are kept the motion's positions stay, and so it is with necks and twist joints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from questsim.errors import InputError
+from questsim.motion.joint_names import ARM, HEAD, HIPS, LEG, NECK, Name, fit, understand
+from questsim.motion.recording import Recording
+from questsim.skeleton import JOINTS
+
+MAX_CHAIN = 9
+MIN_POINTS = 1.0
+"""A limb whose names and lengths together give less is none."""
+END = " End Site"
+MAPPING = "name the joints in a mapping file ('questsim motions mapping' writes a start)"
+
+
+@dataclass(frozen=True)
+class Roles:
+    """Which joint of the file is which of ours.
+
+    Attributes:
+        joints: our joint's name to the file's.
+        reasons: for each of our joints why, or why it is missing.
+        recording: the recording, with the ends of last joints as joints where they play a role.
+    """
+
+    joints: dict[str, str]
+    reasons: dict[str, str]
+    recording: Recording
+
+
+@dataclass(frozen=True)
+class _Tree:
+    names: list[Name]
+    parents: list[int]
+    place: np.ndarray
+    """Of each joint ``(J, 3)`` with all rotations zero."""
+
+    def children(self, joint: int) -> list[int]:
+        return [j for j, parent in enumerate(self.parents) if parent == joint]
+
+    def path(self, joint: int) -> list[int]:
+        """From the file's root to the joint."""
+        out = [joint]
+        while self.parents[out[-1]] >= 0:
+            out.append(self.parents[out[-1]])
+        return out[::-1]
+
+    def meet(self, a: int, b: int) -> int:
+        """The last joint that both paths share."""
+        shared = [x for x, y in zip(self.path(a), self.path(b), strict=False) if x == y]
+        return shared[-1]
+
+    def leaves(self, joint: int) -> list[int]:
+        below = self.children(joint)
+        return [leaf for child in below for leaf in self.leaves(child)] if below else [joint]
+
+    def length(self, a: int, b: int) -> float:
+        return float(np.linalg.norm(self.place[b] - self.place[a]))
+
+
+def with_ends(recording: Recording) -> Recording:
+    """The recording with each last joint's end as a joint of its own that does not turn."""
+    tips = {j: tip for j, tip in recording.tips.items() if np.linalg.norm(tip) > 0}
+    if not tips:
+        return recording
+    frames = len(recording.positions)
+    ends = np.broadcast_to(np.array(list(tips.values())), (frames, len(tips), 3))
+    still = np.broadcast_to([1.0, 0.0, 0.0, 0.0], (frames, len(tips), 4))
+    return replace(
+        recording,
+        names=(*recording.names, *(recording.names[j] + END for j in tips)),
+        parents=np.concatenate([recording.parents, list(tips)]).astype(int),
+        positions=np.concatenate([recording.positions, ends], axis=1),
+        rotations=np.concatenate([recording.rotations, still], axis=1),
+        tips={},
+    )
+
+
+def find_roles(recording: Recording) -> Roles:
+    """Finds our joints among the file's.
+
+    Raises:
+        InputError: there are no two legs, two arms and a head; the message says what is missing.
+    """
+    recording = with_ends(recording)
+    tree = _tree(recording)
+    found: dict[str, int] = {}
+    points: dict[str, float] = {}
+    legs, arms = (_limbs(tree, part, recording) for part in (LEG, ARM))
+    for side in ("left", "right"):
+        leg, arm = legs[side], arms[side]
+        for limb, (chosen, score) in (("leg", leg), ("arm", arm)):
+            found |= {f"{side}_{role}": joint for role, joint in chosen.items()}
+            points |= {f"{side}_{role}": score for role in chosen}
+            if not chosen:
+                raise InputError(
+                    f"no human skeleton is recognised: there is no {side} {limb}",
+                    recording.path,
+                    MAPPING,
+                )
+    _trunk(tree, found, recording)
+    return _named(recording, found, points)
+
+
+def _named(recording: Recording, found: dict[str, int], points: dict[str, float]) -> Roles:
+    reasons = {}
+    for joint in JOINTS:
+        if joint not in found:
+            reasons[joint] = "the file has none"
+        elif joint in points:
+            reasons[joint] = f"place in its chain, name and length ({points[joint]:.1f} points)"
+        else:
+            reasons[joint] = "place between legs, arms and head"
+    joints = {j: recording.names[found[j]] for j in JOINTS if j in found}
+    ends = {name for name in joints.values() if name.endswith(END)}
+    if not ends:
+        recording = _without_ends(recording)
+    return Roles(joints, reasons, recording)
+
+
+def _without_ends(recording: Recording) -> Recording:
+    keep = [j for j, name in enumerate(recording.names) if not name.endswith(END)]
+    return replace(
+        recording,
+        names=tuple(recording.names[j] for j in keep),
+        parents=recording.parents[keep],
+        positions=recording.positions[:, keep],
+        rotations=recording.rotations[:, keep],
+    )
+
+
+def _tree(recording: Recording) -> _Tree:
+    parents = [int(parent) for parent in recording.parents]
+    names = understand([name.removesuffix(END) for name in recording.names])
+    offsets = np.median(recording.positions, axis=0)
+    place = np.zeros_like(offsets)
+    for joint, parent in enumerate(parents):
+        if parent >= 0:
+            place[joint] = place[parent] + offsets[joint]
+    ended = [n.endswith(END) for n in recording.names]
+    names = [
+        replace(name, key="", part=name.part) if end else name
+        for name, end in zip(names, ended, strict=True)
+    ]
+    return _Tree(names, parents, place)
+
+
+_Limb = tuple[dict[str, int], float]
+
+
+def _limbs(tree: _Tree, part: dict, recording: Recording) -> dict[str, _Limb]:
+    """The best chain of each side for legs or arms; an empty one where there is none."""
+    out: dict[str, _Limb] = {"left": ({}, MIN_POINTS), "right": ({}, MIN_POINTS)}
+    for start, name in enumerate(tree.names):
+        parent = tree.parents[start]
+        if not name.side or (parent >= 0 and tree.names[parent].side == name.side):
+            continue
+        paths = [tree.path(leaf) for leaf in tree.leaves(start)]
+        chains = {
+            tuple(j for j in path[path.index(start) :] if tree.names[j].part)[:MAX_CHAIN]
+            for path in paths
+        }
+        for chain in sorted(chains):
+            chosen, score = _best(tree, chain, part)
+            if score > out[name.side][1]:
+                out[name.side] = (chosen, score)
+    return out
+
+
+def _best(tree: _Tree, usable: tuple[int, ...], part: dict) -> _Limb:
+    """The best choice of a limb's roles from a chain of joints."""
+    roles = list(part)
+    optional = "toe" if part is LEG else "clavicle"
+    needed = [role for role in roles if role != optional]
+    best: _Limb = ({}, -np.inf)
+    for wanted in (roles, needed):
+        for joints in combinations(usable, len(wanted)):
+            chosen = dict(zip(wanted, joints, strict=True))
+            score = _points(tree, usable, chosen, part)
+            if score > best[1]:
+                best = (chosen, score)
+    return best
+
+
+def _points(tree: _Tree, usable: tuple[int, ...], chosen: dict[str, int], part: dict) -> float:
+    """What names and lengths say for a choice."""
+    score = sum(fit(part[role], tree.names[joint].key) for role, joint in chosen.items())
+    # A joint that is passed over although its name fits a role that is left out.
+    score -= 0.3 * sum(
+        max(fit(patterns, tree.names[joint].key) for patterns in part.values()) > 0.5
+        for joint in usable
+        if joint not in chosen.values()
+    )
+    near, middle, far = ("hip", "knee", "ankle") if part is LEG else ("shoulder", "elbow", "wrist")
+    upper = tree.length(chosen[near], chosen[middle])
+    lower = tree.length(chosen[middle], chosen[far])
+    if min(upper, lower) <= 1e-9:
+        return -1.0 + score
+    score -= min(2.0 * abs(np.log(upper / lower)), 3.0)
+    if "toe" in chosen:
+        foot = tree.length(chosen["ankle"], chosen["toe"]) / lower
+        score -= 0.0 if 0.1 < foot < 0.9 else 0.7
+    if "clavicle" in chosen:
+        score -= 0.0 if tree.length(chosen["clavicle"], chosen["shoulder"]) < upper else 0.7
+    return score
+
+
+def _trunk(tree: _Tree, found: dict[str, int], recording: Recording) -> None:
+    """Adds root, spine, neck and head to ``found``."""
+    hips = tree.meet(found["left_hip"], found["right_hip"])
+    limbs = {joint for name, joint in found.items() if name not in ("root",)}
+    begins = [found.get(f"{s}_clavicle", found[f"{s}_shoulder"]) for s in ("left", "right")]
+    chest = tree.meet(*begins)
+    head = _head(tree, chest, limbs, recording)
+    found["root"] = hips
+    low = tree.meet(hips, chest)
+    spine = [joint for joint in tree.path(chest) if joint not in tree.path(low)]
+    spine = [joint for joint in spine if tree.names[joint].part]
+    # Some skeletons hang the arms on the neck.
+    high = [joint for joint in spine if NECK.search(tree.names[joint].key)]
+    spine = [joint for joint in spine if joint not in high]
+    above = tree.path(head)
+    begin = above.index(tree.meet(head, chest)) + 1
+    neck = high + [joint for joint in above[begin:-1] if tree.names[joint].part]
+    found["head"] = head
+    neck = [joint for joint in neck if joint != head]
+    if neck:
+        found["neck"] = neck[0]
+    _fold(tree, spine, hips, neck[0] if neck else head, found)
+
+
+def _fold(tree: _Tree, spine: list[int], hips: int, neck: int, found: dict[str, int]) -> None:
+    """Adds up to three of the file's spine joints: the first, the last, the one halfway."""
+    if not spine:
+        return
+    place = tree.place
+    total = max(tree.length(hips, neck), 1e-9)
+    share = [float(np.linalg.norm(place[joint] - place[hips])) / total for joint in spine]
+    if len(spine) == 1:
+        found["spine1" if share[0] < 0.35 else "spine2"] = spine[0]
+    elif len(spine) == 2:
+        found["spine1"], found["spine2"] = spine
+    else:
+        halfway = (share[0] + share[-1]) / 2.0
+        between = range(1, len(spine) - 1)
+        middle = min(between, key=lambda i: (abs(share[i] - halfway), i))
+        found |= {"spine1": spine[0], "spine2": spine[middle], "spine3": spine[-1]}
+
+
+def _head(tree: _Tree, chest: int, limbs: set[int], recording: Recording) -> int:
+    """The head: by name or else the last of the chain that goes on from the chest."""
+    named = [
+        joint
+        for joint, name in enumerate(tree.names)
+        if name.part and not name.side and HEAD.search(name.key) and joint not in limbs
+    ]
+    if named:
+        return min(named, key=lambda joint: (len(tree.path(joint)), joint))
+    below = [
+        joint
+        for joint, name in enumerate(tree.names)
+        if chest in tree.path(joint)[:-1]
+        and name.part
+        and not name.side
+        and not recording.names[joint].endswith(END)
+        and not limbs & set(tree.path(joint))
+        and not HIPS.search(name.key)
+    ]
+    if not below:
+        raise InputError(
+            "no human skeleton is recognised: there is no head", recording.path, MAPPING
+        )
+    return max(below, key=lambda joint: (len(tree.path(joint)), -joint))

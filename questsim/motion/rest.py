@@ -1,0 +1,303 @@
+"""How the axes of a file's joints lie in our T-pose, from its offsets or from how it moves.
+
+Where all rotations zero, or the first frame, make a standing person with straight limbs (T, A or
+I pose, or arms down), that pose is the answer: ``convert`` turns its limbs into the T-pose by
+the shortest way. Else the axes follow from the motion: a hinge's axis is that about which knees
+and elbows bend, the trunk's are those of the times when the performer stands upright.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from questsim import rotations as rot
+from questsim.motion.convert import global_pose
+from questsim.motion.recording import Recording
+from questsim.skeleton import JOINT_PARENTS, JOINTS
+
+SIDES = ("left", "right")
+MAX_FRAMES = 300
+SNAP = np.cos(np.radians(20.0))
+SPLAY = np.cos(np.radians(12.0))
+"""Legs further apart than this in the rest pose belong to a pose in which feet follow shins."""
+MIN_BEND = 0.1
+"""Mean sine of the hinge's angle below which a limb never bends enough to show its axis."""
+
+Places = Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Rest:
+    """The rest pose's axes.
+
+    Attributes:
+        axes: for each of our joints that the file has, forward, left and up as columns in the
+            joint's own frame ``(3, 3)``.
+        how: where they are from.
+        feet_follow_shins: whether legs and feet are splayed as one.
+    """
+
+    axes: dict[str, np.ndarray]
+    how: str
+    feet_follow_shins: bool = False
+
+
+def some_frames(recording: Recording, count: int = MAX_FRAMES) -> Recording:
+    """At most ``count`` frames, evenly spread; the first is always among them."""
+    every = max(1, -(-len(recording.positions) // count))
+    return replace(
+        recording,
+        positions=recording.positions[::every],
+        rotations=recording.rotations[::every],
+    )
+
+
+def zero_pose(recording: Recording) -> Recording:
+    """One frame of the skeleton with all rotations zero and its median offsets."""
+    rotations = np.zeros((1, *recording.rotations.shape[1:]))
+    rotations[..., 0] = 1.0
+    positions = np.median(recording.positions, axis=0)[None]
+    return replace(recording, positions=positions, rotations=rotations)
+
+
+def find_rest(recording: Recording, joints: Mapping[str, str]) -> tuple[Rest | None, str]:
+    """The axes of our joints, or None and why the poses are none of a standing person.
+
+    Args:
+        recording: the motion.
+        joints: our joint's name to the file's.
+    """
+    index = {ours: recording.names.index(theirs) for ours, theirs in joints.items()}
+    zero = _places(zero_pose(recording), index)
+    body, why = body_axes(zero, snap=True)
+    splayed = body is not None and _splayed(zero, body)
+    if body is not None:
+        same = dict.fromkeys(index, body)
+        return Rest(same, "the pose of all rotations zero", splayed), ""
+    first = replace(recording, positions=recording.positions[:1], rotations=recording.rotations[:1])
+    body, _ = body_axes(_places(first, index), snap=True)
+    if body is not None:
+        _, quat = global_pose(first)
+        turns = rot.quat_to_matrix(quat[0])
+        axes = {ours: turns[j].T @ body for ours, j in index.items()}
+        return Rest(axes, "the first frame, a rest pose"), ""
+    rest = _from_motion(some_frames(recording), index)
+    return rest, "" if rest else why
+
+
+def _places(pose: Recording, index: Mapping[str, int]) -> dict[str, np.ndarray]:
+    position, _ = global_pose(pose)
+    return {ours: position[0, j] for ours, j in index.items()}
+
+
+def unit(vector: np.ndarray) -> np.ndarray:
+    """Vectors of length 1; those of length 0 stay."""
+    return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-12)
+
+
+def _both(places: Places, joint: str) -> tuple[np.ndarray, np.ndarray]:
+    return places[f"left_{joint}"], places[f"right_{joint}"]
+
+
+def body_axes(places: Places, *, snap: bool) -> tuple[np.ndarray | None, str]:
+    """Forward, left and up ``(3, 3)`` as columns of someone who stands with straight limbs.
+
+    Args:
+        places: our joints' places ``(3,)``.
+        snap: take the file's own axis for up and left where it is near.
+
+    Returns:
+        the axes, or None and what speaks against such a pose.
+    """
+    hips, shoulders = _both(places, "hip"), _both(places, "shoulder")
+    middle, top = (hips[0] + hips[1]) / 2.0, (shoulders[0] + shoulders[1]) / 2.0
+    ankles = sum(_both(places, "ankle")) / 2.0
+    up = unit(unit(top - middle) + unit(middle - ankles))
+    if unit(top - middle) @ unit(middle - ankles) < 0.8:
+        return None, "trunk and legs are not in line"
+    if (places["head"] - top) @ up <= 0:
+        return None, "the head is below the shoulders"
+    lateral = unit(hips[0] - hips[1]), unit(shoulders[0] - shoulders[1])
+    if lateral[0] @ lateral[1] < 0.8:
+        return None, "hips and shoulders are twisted"
+    axes = _axes(up, lateral[0] + lateral[1], snap)
+    for side in SIDES:
+        chain = {
+            j: places[f"{side}_{j}"] for j in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+        }
+        thigh, shin = unit(chain["knee"] - chain["hip"]), unit(chain["ankle"] - chain["knee"])
+        arm = unit(chain["elbow"] - chain["shoulder"])
+        forearm = unit(chain["wrist"] - chain["elbow"])
+        if thigh @ shin < 0.8 or -(thigh @ axes[:, 2]) < 0.75:
+            return None, f"the {side} leg is not stretched"
+        if arm @ forearm < 0.7:
+            return None, f"the {side} arm is not stretched"
+        outwards = arm @ axes[:, 1] * (1.0 if side == "left" else -1.0)
+        if outwards < -0.2 or abs(arm @ axes[:, 0]) > 0.6 or arm @ axes[:, 2] > 0.5:
+            return None, f"the {side} arm neither hangs nor points sideways"
+    return axes, ""
+
+
+def _axes(up: np.ndarray, left: np.ndarray, snap: bool) -> np.ndarray:
+    """Forward, left and up as columns, of an up and roughly a left direction."""
+    if snap:
+        up = _snapped(up)
+    left = unit(left - (left @ up) * up)
+    if snap:
+        left = _snapped(left)
+        left = unit(left - (left @ up) * up)
+    return np.stack([np.cross(left, up), left, up], axis=-1)
+
+
+def _snapped(vector: np.ndarray) -> np.ndarray:
+    """The nearest of the six axis directions, if it is within 20 degrees."""
+    axis = np.zeros(3)
+    largest = int(abs(vector).argmax())
+    axis[largest] = np.sign(vector[largest])
+    return axis if vector @ axis > SNAP else vector
+
+
+def _splayed(places: Places, body: np.ndarray) -> bool:
+    drops = [-unit(places[f"{s}_ankle"] - places[f"{s}_hip"]) @ body[:, 2] for s in SIDES]
+    return bool(np.mean(drops) < SPLAY)
+
+
+def world_up(places: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The file's axis ``(3,)`` along which heads are above feet, of places ``(T, 3)``."""
+    body = places["head"] - (places["left_ankle"] + places["right_ankle"]) / 2.0
+    direction = np.median(unit(body), axis=0)
+    axis = np.zeros(3)
+    largest = int(abs(direction).argmax())
+    axis[largest] = np.sign(direction[largest])
+    return axis
+
+
+class _Moving:
+    """Joints over frames, and constant vectors in their frames."""
+
+    def __init__(self, recording: Recording, index: Mapping[str, int]) -> None:
+        position, quat = global_pose(recording)
+        self.places = {ours: position[:, j] for ours, j in index.items()}
+        self.turns = {ours: rot.quat_to_matrix(quat[:, j]) for ours, j in index.items()}
+
+    def bone(self, near: str, far: str) -> np.ndarray:
+        """Directions ``(T, 3)`` in the world."""
+        return unit(self.places[far] - self.places[near])
+
+    def own(self, joint: str, world: np.ndarray, frames: np.ndarray | None = None) -> np.ndarray:
+        """The mean in the joint's frame ``(3,)`` of world vectors ``(T, 3)``."""
+        local = np.einsum("tji,tj->ti", self.turns[joint], world)
+        return local[frames].mean(axis=0) if frames is not None else local.mean(axis=0)
+
+
+def _from_motion(recording: Recording, index: Mapping[str, int]) -> Rest | None:
+    """Axes from how the performer moves; None where knees or hips show none."""
+    moving = _Moving(recording, index)
+    up = world_up(moving.places)
+    trunk = moving.bone("root", "head") if "root" in index else moving.bone("left_hip", "head")
+    upright = trunk @ up
+    stands = upright > min(0.9, float(np.percentile(upright, 60)))
+    up_world = np.broadcast_to(up, trunk.shape)
+    left_world = moving.places["left_hip"] - moving.places["right_hip"]
+    shoulders = moving.places["left_shoulder"] - moving.places["right_shoulder"]
+    axes: dict[str, np.ndarray] = {}
+    for joint in ("root", "spine1", "spine2", "spine3", "neck", "head"):
+        if joint in index:
+            left = left_world if joint in ("root", "spine1") else shoulders
+            axes[joint] = _axes(
+                unit(moving.own(joint, up_world, stands)),
+                moving.own(joint, unit(left), stands),
+                snap=False,
+            )
+    for side in SIDES:
+        sign = 1.0 if side == "left" else -1.0
+        legs = _hinge(moving, side, ("hip", "knee", "ankle"))
+        arms = _hinge(moving, side, ("shoulder", "elbow", "wrist"))
+        for i, joint in enumerate(("hip", "knee")):
+            name = f"{side}_{joint}"
+            bone = moving.own(name, moving.bone(name, f"{side}_{('knee', 'ankle')[i]}"))
+            hinge = legs[i] if legs else moving.own(name, unit(left_world), stands)
+            axes[name] = _axes(-unit(bone), hinge, snap=False)
+        for i, joint in enumerate(("shoulder", "elbow")):
+            name = f"{side}_{joint}"
+            bone = moving.own(name, moving.bone(name, f"{side}_{('elbow', 'wrist')[i]}"))
+            # The left elbow bends about -z of the T-pose, the right one about +z.
+            hinge = -sign * arms[i] if arms else moving.own(name, up_world, stands)
+            axes[name] = _lateral(sign * unit(bone), hinge)
+        _ends(moving, index, side, up_world, axes)
+    return Rest(axes, "how the performer moves")
+
+
+def _lateral(left: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Forward, left and up as columns, of a left and roughly an up direction."""
+    up = unit(up - (up @ left) * left)
+    return np.stack([np.cross(left, up), left, up], axis=-1)
+
+
+def _hinge(
+    moving: _Moving, side: str, chain: tuple[str, str, str]
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """The axis about which a limb bends, in its upper and its lower joint's frame ``(3,)``."""
+    near, middle, far = (f"{side}_{joint}" for joint in chain)
+    cross = np.cross(moving.bone(near, middle), moving.bone(middle, far))
+    if np.linalg.norm(cross, axis=-1).mean() < MIN_BEND:
+        return None
+    axes = moving.own(near, cross), moving.own(middle, cross)
+    if min(np.linalg.norm(axis) for axis in axes) < 0.3 * np.linalg.norm(cross, axis=-1).mean():
+        return None
+    return unit(axes[0]), unit(axes[1])
+
+
+def _ends(
+    moving: _Moving,
+    index: Mapping[str, int],
+    side: str,
+    up_world: np.ndarray,
+    axes: dict[str, np.ndarray],
+) -> None:
+    """Adds collarbone, hand, foot and toes: they lie as their neighbours do on average."""
+    parents = {
+        "clavicle": "spine3", "wrist": f"{side}_elbow", "ankle": f"{side}_knee",
+        "toe": f"{side}_ankle",
+    }  # fmt: skip
+    for joint, parent in parents.items():
+        name = f"{side}_{joint}"
+        if name not in index:
+            continue
+        near = parent if parent in axes else _above(name, axes)
+        turned = moving.turns[near] @ axes[near]
+        mean = np.einsum("tji,tjk->tik", moving.turns[name], turned).mean(axis=0)
+        if joint == "ankle":
+            _foot(moving, side, up_world, axes)
+            continue
+        u, _, v = np.linalg.svd(mean)
+        axes[name] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
+
+
+def _above(joint: str, axes: Mapping[str, np.ndarray]) -> str:
+    number = JOINTS.index(joint)
+    while number:
+        number = JOINT_PARENTS[number]
+        if JOINTS[number] in axes:
+            return JOINTS[number]
+    return "root"
+
+
+def _foot(moving: _Moving, side: str, up_world: np.ndarray, axes: dict[str, np.ndarray]) -> None:
+    """The foot is level while it is still and low, and points where its toes do."""
+    name, knee = f"{side}_ankle", f"{side}_knee"
+    place = moving.places[name]
+    height = np.sum(place * up_world, axis=-1)
+    speed = np.linalg.norm(np.gradient(place, axis=0), axis=-1) if len(place) > 1 else height * 0
+    low = height <= np.percentile(height, 40)
+    rests = low & (speed <= np.percentile(speed[low], 60))
+    up = unit(moving.own(name, up_world, rests))
+    if f"{side}_toe" in moving.places:
+        ahead = moving.own(name, moving.bone(name, f"{side}_toe"))
+    else:
+        ahead = moving.own(name, (moving.turns[knee] @ axes[knee])[..., 0], rests)
+    forward = unit(ahead - (ahead @ up) * up)
+    axes[name] = np.stack([forward, np.cross(up, forward), up], axis=-1)

@@ -1,0 +1,157 @@
+"""Files in the styles of many producers import without a mapping, joints where they truly are."""
+
+import re
+
+import numpy as np
+import pytest
+from mocap_files import SMPL_JOINTS, standing, write_bvh
+from rigs import MIXAMO, RIGS, Rig, write_rig
+
+from questsim import rotations as rot
+from questsim.cli import main
+from questsim.errors import InputError
+from questsim.motion.families import load_mapping
+from questsim.motion.motion import Motion
+from questsim.motion.reading import ReadOptions, read_motion
+from questsim.motion.retarget import retargeting_error, to_clip
+from questsim.motion.spec import MAX_ERROR_CM
+from questsim.skeleton import JOINTS
+
+
+def in_file(rig: Rig) -> list[int]:
+    """Our joints that a rig has."""
+    return [i for i, j in enumerate(JOINTS) if j.replace("right_", "left_") in rig.joints]
+
+
+def compare(got: Motion, truth: Motion, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    """Distances in metres and angles in degrees of the rig's joints, largest and mean over time."""
+    if rig.rest_frame:
+        truth = Motion("t", rig.fps, truth.root_position[1:], truth.rotations[1:], truth.offsets)
+    (place, turn), (true_place, true_turn) = got.forward_kinematics(), truth.forward_kinematics()
+    joints = in_file(rig)
+    distance = np.linalg.norm(place - true_place, axis=-1).max(axis=0)
+    angle = np.degrees(rot.angle_between(turn, true_turn)).mean(axis=0)
+    return distance[joints], angle[joints]
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_a_producers_file_imports_with_every_joint_in_its_place(name, tmp_path):
+    rig = RIGS[name]
+    truth = write_rig(tmp_path / "a.bvh", rig)
+    motion, report = read_motion(tmp_path / "a.bvh")
+    distance, angle = compare(motion, truth, rig)
+    names = [JOINTS[joint] for joint in in_file(rig)]
+    assert distance.max() < 0.005, names[int(distance.argmax())]
+    # Axes from a rest pose are exact; from how someone moves as good as knees are hinges.
+    limit = 12.0 if "how the performer moves" in report.explanation[0] else 6.0
+    assert angle.max() < limit, (names[int(angle.argmax())], angle.max())
+    assert max(retargeting_error(motion, to_clip(motion)).values()) < MAX_ERROR_CM
+
+
+def test_a_rest_pose_before_the_motion_is_left_out_and_said(tmp_path):
+    rig = RIGS["MotionBuilder"]
+    write_rig(tmp_path / "a.bvh", rig)
+    motion, report = read_motion(tmp_path / "a.bvh")
+    assert len(motion) == rig.frames - 1
+    assert "the first frame, a rest pose, is left out" in str(report)
+
+
+def test_a_motion_that_begins_in_a_t_pose_and_moves_out_of_it_is_kept_whole(tmp_path):
+    arms = np.linspace(0, -70, 40)
+    angles = {"L_Shoulder": np.stack([arms, 0 * arms, 0 * arms], axis=-1)}
+    path = write_bvh(tmp_path / "a.bvh", SMPL_JOINTS, standing(40, 0.95), angles)
+    assert len(read_motion(path)[0]) == 40
+
+
+def test_missing_toes_are_put_in_front_of_the_ankles(tmp_path):
+    # Without an End Site a foot of the legs' length, with one where it says.
+    for name in ("Axis Neuron", "Biovision"):
+        rig = RIGS[name]
+        write_rig(tmp_path / "a.bvh", rig)
+        motion, _ = read_motion(tmp_path / "a.bvh")
+        for side in ("left", "right"):
+            ahead, left, up = motion.offsets[JOINTS.index(f"{side}_toe")]
+            assert 0.08 < ahead < 0.2 and abs(left) < 0.03 and -0.08 < up < 0.0
+
+
+def test_swapped_sides_are_refused_and_not_imported_mirrored(tmp_path):
+    write_rig(tmp_path / "a.bvh", RIGS["Mixamo"])
+    text = (tmp_path / "a.bvh").read_text()
+    swap = {"Left": "Right", "Right": "Left"}
+    (tmp_path / "b.bvh").write_text(re.sub("Left|Right", lambda m: swap[m[0]], text))
+    with pytest.raises(InputError, match=r"left and right are swapped|bends backwards"):
+        read_motion(tmp_path / "b.bvh")
+
+
+def test_a_skeleton_without_arms_is_refused_with_the_reason(tmp_path):
+    # The first 14 joints are pelvis, legs, spine, neck and head.
+    path = write_bvh(tmp_path / "a.bvh", SMPL_JOINTS[:14], standing(3, 0.95))
+    with pytest.raises(InputError, match=r"there is no left arm.*mapping"):
+        read_motion(path)
+
+
+def test_twice_as_long_forearms_are_refused(tmp_path):
+    joints = [
+        (n + "X", p, tuple(3 * v for v in o) if n.endswith("_Wrist") else o)
+        for n, p, o in SMPL_JOINTS
+    ]
+    path = write_bvh(tmp_path / "a.bvh", joints, standing(3, 0.95))
+    with pytest.raises(InputError, match="forearm and upper arm are as"):
+        read_motion(path)
+
+
+def test_explain_prints_which_joint_was_taken_for_what(tmp_path, capsys):
+    write_rig(tmp_path / "a.bvh", RIGS["Character Creator"])
+    out = tmp_path / "lib.npz"
+    assert main(["motions", "import", str(tmp_path / "a.bvh"), "--out", str(out), "--explain"]) == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"left_knee +CC_Base_L_Calf +place in its chain", printed)
+    assert "axes from the pose of all rotations zero" in printed
+    assert "CC_Base_L_CalfTwist01" not in printed
+
+
+def test_a_mapping_file_can_be_written_out_and_gives_the_same_motion(tmp_path, capsys):
+    write_rig(tmp_path / "a.bvh", RIGS["3ds Max Biped"])
+    rig = tmp_path / "rig.toml"
+    assert main(["motions", "mapping", str(tmp_path / "a.bvh"), "--out", str(rig)]) == 0
+    assert "check it, and import with --mapping" in capsys.readouterr().out
+    assert load_mapping(rig).joints["left_knee"] == "Bip01 L Calf"
+    mapped, _ = read_motion(tmp_path / "a.bvh", ReadOptions(mapping=str(rig)))
+    plain, _ = read_motion(tmp_path / "a.bvh")
+    np.testing.assert_allclose(mapped.rotations, plain.rotations, atol=1e-9)
+
+
+def test_a_mapping_file_of_what_is_not_recognised_lists_the_joints_to_fill_in(tmp_path, capsys):
+    joints = [(f"bone{i}", p, o) for i, (_, p, o) in enumerate(SMPL_JOINTS)]
+    path = write_bvh(tmp_path / "a.bvh", joints, standing(3, 0.95))
+    with pytest.raises(InputError, match="no human skeleton is recognised"):
+        read_motion(path)
+    rig = tmp_path / "rig.toml"
+    assert main(["motions", "mapping", str(path), "--out", str(rig)]) == 0
+    assert "fill in what is missing" in capsys.readouterr().out
+    text = rig.read_text()
+    assert "#   bone7\n" in text and '# left_knee = ""\n' in text
+
+
+def test_the_height_scales_a_file_of_unknown_units(tmp_path):
+    joints = [(n, p, tuple(3 * v for v in o)) for n, p, o in SMPL_JOINTS]
+    path = write_bvh(tmp_path / "b.bvh", joints, standing(3, 2.85))
+    with pytest.raises(InputError, match=r"a person in none of.*--height"):
+        read_motion(path)
+    motion, report = read_motion(path, ReadOptions(height_m=1.8))
+    assert report.stature_m == pytest.approx(1.8, abs=1e-3)
+    assert len(motion) == 3
+
+
+def test_joints_of_a_mapping_that_the_file_lacks_are_named(tmp_path):
+    write_rig(tmp_path / "a.bvh", RIGS["Mixamo"])
+    rig = tmp_path / "rig.toml"
+    lines = ["[joints]"]
+    for ours, theirs in MIXAMO.items():
+        lines.append(f'{ours} = "mixamorig:{theirs.format("Left")}"')
+        if "{}" in theirs:
+            right = theirs.format("Right").replace("Hand", "Paw")
+            lines.append(f'{ours.replace("left", "right")} = "mixamorig:{right}"')
+    rig.write_text("\n".join(lines))
+    with pytest.raises(InputError, match="there is no joint 'mixamorig:RightPaw'"):
+        read_motion(tmp_path / "a.bvh", ReadOptions(mapping=str(rig)))
