@@ -15,9 +15,9 @@ from envs.config import EnvConfig
 from envs.core import BatchSim
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.motion.clip import Clip
-from questsim.motion.kinematics import clip_from_qpos, sole_positions
+from questsim.motion.kinematics import standing_clip
 from questsim.sensors import sensor_set
-from questsim.skeleton import FOOT_LINKS, NUM_DOFS
+from questsim.skeleton import NUM_DOFS
 
 NOW = 2
 """Row of the window that is the avatar's present."""
@@ -25,17 +25,6 @@ AHEAD = 6
 """Rows after it: as far as any agent looks ahead."""
 _ROWS = NOW + AHEAD + 1
 _POSITIONS, _VELOCITIES = 7 + NUM_DOFS, 6 + NUM_DOFS
-
-
-def standing_clip(height_m: float, frames: int = 1) -> Clip:
-    """A clip of an avatar that stands upright at the origin, arms hanging, and looks along x."""
-    qpos = np.zeros((frames, _POSITIONS))
-    qpos[:, 3] = 1.0
-    clip = clip_from_qpos("standing", qpos, height_m)
-    feet = list(FOOT_LINKS)
-    soles = sole_positions(clip.link_position[:, feet], clip.link_quat[:, feet], height_m)
-    qpos[:, 2] = -soles[..., 2].min()
-    return clip_from_qpos("standing", qpos, height_m)
 
 
 class StreamSim(BatchSim):

@@ -36,7 +36,7 @@ def test_a_known_pose_is_the_same_from_every_convention(convention):
 
 def test_a_matrix_of_steamvr_is_the_pose_that_its_quaternion_is():
     # Looking left in OpenVR: local -z, forward, is world -x.
-    matrix = [[0.0, 0.0, 1.0, -1.0], [0.0, 1.0, 0.0, 1.6], [-1.0, 0.0, 0.0, -2.0]]
+    matrix = np.array([[0.0, 0.0, 1.0, -1.0], [0.0, 1.0, 0.0, 1.6], [-1.0, 0.0, 0.0, -2.0]])
     one = DeviceFrame.of(0.0, {"headset": matrix}, "steamvr").poses["headset"]
     other = DeviceFrame.of(0.0, {"headset": LEFT_TURN["steamvr"]}, "steamvr").poses["headset"]
     np.testing.assert_allclose(one.position, other.position, atol=1e-12)

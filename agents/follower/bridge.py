@@ -20,14 +20,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from envs.stream import standing_clip
 from questsim import rotations as rot
 from questsim.devices import DeviceFrame
+from questsim.motion.kinematics import standing_clip
 from questsim.sensors import device_poses
 
 BRIDGE_S = 0.5
 NEAR_M, NEAR_RAD = 0.5, np.radians(60.0)
-HOLD_S, SINK_S, EASE_S = 0.5, 0.5, 0.3
+HOLD_S, SINK_S, EASE_S = 0.5, 0.8, 0.5
 JUMP_M, JUMP_M_S = 0.3, 5.0
 """A headset jumps if it moves by more than the first and this speed together ..."""
 JUMP_RAD, JUMP_RAD_S = np.radians(40.0), np.radians(1000.0)

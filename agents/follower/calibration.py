@@ -16,16 +16,17 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from envs.stream import standing_clip
 from questsim import rotations as rot
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
 from questsim.devices import DeviceFrame, DevicePose
 from questsim.errors import InputError
+from questsim.motion.kinematics import standing_clip
 from questsim.sensors import device_poses
 from questsim.skeleton import LINKS
 
@@ -118,7 +119,7 @@ class Calibration:
             raise InputError("is no calibration", path, "calibrate again") from None
 
     @staticmethod
-    def of(values: Mapping[str, object]) -> Calibration:
+    def of(values: Mapping[str, Any]) -> Calibration:
         """The calibration of a JSON object.
 
         Raises:
@@ -126,11 +127,11 @@ class Calibration:
         """
         try:
             mounts = {
-                name: Mount(tuple(map(float, m["offset"])), tuple(map(float, m["turn"])))  # type: ignore
-                for name, m in dict(values["mounts"]).items()  # type: ignore[call-overload]
+                str(name): _mount(np.array(m["offset"], float), np.array(m["turn"], float))
+                for name, m in values["mounts"].items()
             }
-            numbers = [float(values[k]) for k in ("height_m", "floor_m", "heading_rad")]  # type: ignore
-        except (KeyError, TypeError, ValueError) as error:
+            numbers = [float(values[k]) for k in ("height_m", "floor_m", "heading_rad")]
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise InputError(f"field {error} cannot be read", "calibration") from None
         if not np.isfinite(
             [*numbers, *(x for m in mounts.values() for x in (*m.offset, *m.turn))]

@@ -14,28 +14,31 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agents.agent import Agent, PolicyAgent
-from agents.kinematic.interface import Body, KinematicSystem
+from agents.agent import Agent
+from agents.kinematic.interface import KinematicSystem, UserBody
 from agents.kinematic.physics_behind import BEGINNING_FRAMES, on_own_body
+from agents.policy.policy_agent import PolicyAgent
 from agents.policy.spec import Layout
 from envs.assist import Assist, checked_bound, headsets
 from envs.config import EnvConfig
 from envs.layout import observation_layout
-from envs.stream import AHEAD, StreamSim, standing_clip
+from envs.stream import AHEAD, StreamSim
 from envs.terrain import Terrain, height_field
 from questsim.body import DEFAULT_HEIGHT_M, build_body
 from questsim.errors import InputError
 from questsim.joint_sensors import SENSOR_FPS, SensorFrame
 from questsim.motion.clip import FPS
 from questsim.motion.inverse_dynamics import InverseDynamics
-from questsim.motion.kinematics import clip_from_qpos
+from questsim.motion.kinematics import clip_from_qpos, standing_clip
 from questsim.motion.motion import Motion
 from questsim.motion.retarget_back import to_motion
 from questsim.motion.retarget_stream import StreamRetargeter
-from questsim.sensors import DEVICES, SENSOR_SETS, sensor_set
+from questsim.sensors import DEVICES, sensor_set
 from questsim.skeleton import NUM_DOFS
 
 QPOS = 7 + NUM_DOFS
+_PREFERRED = ("H+2C", "4T", "6T", "H")
+"""Sets of devices for systems that were asked for without one."""
 _TAKEN = 5
 """Poses of which velocities and accelerations of the middle one are taken."""
 
@@ -295,7 +298,7 @@ class SystemPoses:
 
     def reset(self) -> None:
         """The system forgets; another stream begins."""
-        self._system.reset(Body.of(self._user), self._names)
+        self._system.reset(UserBody.of(self._user), self._names)
         self._count = 0
 
     def feed(self, position: np.ndarray, quat: np.ndarray, present: np.ndarray) -> Motion:
@@ -425,7 +428,7 @@ def live_set(system: KinematicSystem, sensors: str | None) -> tuple[str, ...]:
         InputError: it cannot use them, or they are IMUs, which no headset has.
     """
     if sensors is None:
-        usable = [name for name in SENSOR_SETS if _fits(system, name)]
+        usable = [name for name in _PREFERRED if _fits(system, name)]
         if not usable:
             raise InputError(f"no live set of devices suits {system.name}", "Follower")
         sensors = usable[0]

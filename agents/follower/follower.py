@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from agents.agent import Agent, load_agent
+from agents.agent import Agent
 from agents.follower.bridge import Bridge, Moment
 from agents.follower.calibration import Calibration, calibrate
 from agents.follower.engines import (
@@ -23,14 +23,15 @@ from agents.follower.engines import (
 )
 from agents.follower.stance import estimated_pose
 from agents.kinematic.interface import KinematicSystem
+from agents.loading import load_agent
 from agents.names import UNTRAINED
-from envs.stream import standing_clip
 from envs.terrain import Terrain
 from questsim import rotations as rot
 from questsim.avatar_pose import AvatarPose
 from questsim.body import build_body
 from questsim.devices import DeviceFrame
 from questsim.errors import InputError
+from questsim.motion.kinematics import standing_clip
 from questsim.skeleton import NUM_LINKS
 
 LOST_M, LOST_S = 0.6, 0.3

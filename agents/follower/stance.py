@@ -8,10 +8,9 @@ import mink
 import mujoco
 import numpy as np
 
-from envs.stream import standing_clip
 from questsim import rotations as rot
 from questsim.body import build_body
-from questsim.motion.kinematics import sole_positions
+from questsim.motion.kinematics import sole_positions, standing_clip
 from questsim.sensors import DEVICES, device_poses
 from questsim.skeleton import FEET, LINKS
 

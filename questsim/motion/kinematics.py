@@ -117,6 +117,16 @@ def clips_from_qpos(
     return [clip for _, clip in sorted(clips, key=lambda pair: pair[0])]
 
 
+def standing_clip(height_m: float, frames: int = 1) -> Clip:
+    """A clip of an avatar that stands upright at the origin, arms hanging, and looks along x."""
+    qpos = np.zeros((frames, 7 + len(DOFS)))
+    qpos[:, 3] = 1.0
+    position, quat = link_poses(qpos[:1], height_m)
+    feet = [LINKS.index(foot) for foot in FEET]
+    qpos[:, 2] = -sole_positions(position[:, feet], quat[:, feet], height_m)[..., 2].min()
+    return clip_from_qpos("standing", qpos, height_m)
+
+
 def _clip(
     name: str,
     qpos: np.ndarray,

@@ -1,0 +1,192 @@
+"""Device streams of users who do not exist: clips of the avatar, seen by imperfect devices.
+
+A stream begins as a real one should: the user stands still for calibration, arms hanging. Then
+clips follow each other, each from where the one before ended, with a second in between in which
+the devices glide over. Used by tests, benchmarks and the shipped recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from questsim import rotations as rot
+from questsim.devices import DeviceFrame, DevicePose
+from questsim.motion.clip import FPS, Clip
+from questsim.motion.kinematics import clip_from_qpos, standing_clip
+from questsim.sensors import SENSOR_SETS, device_poses
+from questsim.skeleton import LINKS
+
+STILL_S, GLIDE_S = 4.0, 1.2
+SWAY_M = 0.006
+"""Amplitude of the slow sway of somebody who stands still."""
+
+
+@dataclass(frozen=True)
+class SyntheticUser:
+    """A person, how they wear their devices, and what these add.
+
+    Attributes:
+        height_m: stature.
+        devices: name of a sensor set without IMUs.
+        eyes_m: how much higher the eyes are than the avatar's of this stature.
+        arms_deg: how far the arms hang from the body, left and right.
+        arms_ahead_deg: how far they hang ahead.
+        mounts: by device, where it is reported in the axes of where the avatar carries it:
+            offset ``(3,)`` metres and rotation vector ``(3,)``.
+        noise_m, noise_rad: standard deviation of white noise on every coordinate.
+        seed: of noise, sway, jitter and losses.
+    """
+
+    height_m: float = 1.75
+    devices: str = "H+2C"
+    eyes_m: float = 0.0
+    arms_deg: tuple[float, float] = (8.0, 8.0)
+    arms_ahead_deg: tuple[float, float] = (0.0, 0.0)
+    mounts: Mapping[str, tuple[Sequence[float], Sequence[float]]] = field(default_factory=dict)
+    noise_m: float = 0.001
+    noise_rad: float = 0.003
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Span:
+    """A clip in a stream.
+
+    Attributes:
+        clip: as it is done there: of the user's stature, moved to its place.
+        start_s: when its first frame is.
+    """
+
+    clip: Clip
+    start_s: float
+
+    @property
+    def end_s(self) -> float:
+        """When its last frame is."""
+        return self.start_s + self.clip.duration
+
+
+def stream(
+    user: SyntheticUser,
+    clips: Sequence[Clip],
+    rate_hz: float = 72.0,
+    jitter_s: float = 0.0,
+    loss: float = 0.0,
+) -> tuple[list[DeviceFrame], list[Span]]:
+    """The frames of a user who stands still for ``STILL_S`` and then does clips.
+
+    Args:
+        user: who.
+        clips: what, one after the other; scaled to the user's stature.
+        rate_hz: frames a second.
+        jitter_s: half the range by which timestamps differ from regular ones; the poses are those
+            of the timestamps, which always go forward.
+        loss: share of frames that are missing.
+
+    Returns:
+        The frames, in our convention, and when which clip is done.
+    """
+    names = SENSOR_SETS[user.devices]
+    position, quat = _calibration(user, names)
+    spans = []
+    heading, spot = 0.0, np.zeros(2)
+    for clip in clips:
+        clip = placed(clip.scaled(user.height_m), heading, spot)
+        at, turned = device_poses(clip.link_position, clip.link_quat, names, user.height_m)
+        glide = _glide((position[-1], quat[-1]), (at[0], turned[0]), round(GLIDE_S * FPS))
+        spans.append(Span(clip, (len(position) + len(glide[0])) / FPS))
+        position = np.concatenate([position, glide[0], at])
+        quat = np.concatenate([quat, glide[1], turned])
+        heading = float(rot.heading(clip.qpos[-1, 3:7]))
+        spot = clip.qpos[-1, :2]
+    return _seen(user, names, position, quat, rate_hz, jitter_s, loss), spans
+
+
+def placed(clip: Clip, heading_rad: float, spot: np.ndarray) -> Clip:
+    """The clip, turned and moved so that it begins at a place ``(2,)`` with a heading."""
+    yaw = heading_rad - float(rot.heading(clip.qpos[0, 3:7]))
+    turn = rot.yaw_quat(np.array(yaw))
+    qpos = clip.qpos.copy()
+    qpos[:, 3:7] = rot.quat_multiply(turn, qpos[:, 3:7])
+    start = rot.quat_rotate(turn, qpos[0, :3])
+    qpos[:, :3] = rot.quat_rotate(turn, qpos[:, :3])
+    qpos[:, :2] += spot - start[:2]
+    about = {"kind": clip.kind, "style": clip.style, "source": clip.source}
+    return replace(clip_from_qpos(clip.name, qpos, clip.height_m, **about), licence=clip.licence)
+
+
+def _calibration(user: SyntheticUser, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Device poses ``(T, D, 3)``, ``(T, D, 4)`` of the user standing still."""
+    clip = standing_clip(user.height_m)
+    links, quats = clip.link_position[0].copy(), clip.link_quat[0].copy()
+    for index, side in enumerate(("left", "right")):
+        sign = 1.0 if side == "left" else -1.0
+        angles = [sign * user.arms_deg[index], -user.arms_ahead_deg[index]]
+        turn = rot.as_quat(Rotation.from_euler("xy", angles, degrees=True))
+        hand, shoulder = LINKS.index(f"{side}_hand"), LINKS.index(f"{side}_upper_arm")
+        links[hand] = links[shoulder] + rot.quat_rotate(turn, links[hand] - links[shoulder])
+        quats[hand] = turn
+    at, turned = device_poses(links, quats, names, user.height_m)
+    time = np.arange(round(STILL_S * FPS)) / FPS
+    rng = np.random.default_rng([user.seed, 1])
+    sway = np.zeros((len(time), 2))
+    for hertz in (0.23, 0.41):
+        phase = rng.uniform(0.0, 2.0 * np.pi, 2)
+        sway += SWAY_M / 2.0 * np.sin(2.0 * np.pi * hertz * time[:, None] + phase)
+    position = np.tile(at, (len(time), 1, 1))
+    # The whole body leans about the ankles: what is lower moves less.
+    position[..., :2] += sway[:, None] * (at[:, 2] / user.height_m)[:, None]
+    return position, np.tile(turned, (len(time), 1, 1))
+
+
+def _glide(
+    a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray], frames: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Poses on the way from one to another, both left out."""
+    share = (np.arange(1, frames + 1) / (frames + 1))[:, None, None]
+    share = share * share * (3.0 - 2.0 * share)
+    sign = np.where((a[1] * b[1]).sum(-1, keepdims=True) < 0.0, -1.0, 1.0)
+    quat = (1.0 - share) * a[1] + share * sign * b[1]
+    return (1.0 - share) * a[0] + share * b[0], quat / np.linalg.norm(quat, axis=-1, keepdims=True)
+
+
+def _seen(
+    user: SyntheticUser,
+    names: Sequence[str],
+    position: np.ndarray,
+    quat: np.ndarray,
+    rate_hz: float,
+    jitter_s: float,
+    loss: float,
+) -> list[DeviceFrame]:
+    """What imperfect devices report of poses at 36 Hz."""
+    rng = np.random.default_rng([user.seed, 2])
+    known = np.arange(len(position)) / FPS
+    times = np.arange(0.0, known[-1], 1.0 / rate_hz)
+    times = np.clip(times + rng.uniform(-jitter_s, jitter_s, len(times)), 0.0, known[-1])
+    times = np.unique(times[rng.random(len(times)) >= loss])
+    flat = position.reshape(len(position), -1)
+    at = np.stack([np.interp(times, known, column) for column in flat.T], -1)
+    at = at.reshape(len(times), len(names), 3)
+    turned = rot.resample_quat(rot.continuous(quat), known, times)
+    for row, name in enumerate(names):
+        offset, turn = user.mounts.get(name, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+        at[:, row] += rot.quat_rotate(turned[:, row], np.array(offset, float))
+        own = rot.as_quat(Rotation.from_rotvec(np.array(turn, float)))
+        turned[:, row] = rot.quat_multiply(turned[:, row], own)
+        if name == "headset":
+            at[:, row, 2] += user.eyes_m
+    at += rng.normal(0.0, user.noise_m, at.shape)
+    shaken = Rotation.from_rotvec(rng.normal(0.0, user.noise_rad, (at.shape[0] * len(names), 3)))
+    turned = rot.quat_multiply(turned, rot.as_quat(shaken, turned.shape[:2]))
+    return [
+        DeviceFrame(
+            float(time),
+            {name: DevicePose(at[t, d], turned[t, d]) for d, name in enumerate(names)},
+        )
+        for t, time in enumerate(times)
+    ]
