@@ -16,13 +16,14 @@ from envs.registration import register
 if TYPE_CHECKING:
     from envs.config import EnvConfig
     from envs.core import BatchSim
-    from envs.gym import QuestEnv, QuestVectorEnv
+    from envs.gym import QuestEnv
     from envs.kinematic import KinematicVecEnv
     from envs.objects import WorldObject
     from envs.pushes import Pushes
     from envs.randomisation import Randomisation
     from envs.sb3 import QuestVecEnv
     from envs.terrain import Terrain, terrain_named
+    from envs.vector import QuestVectorEnv
 
 __all__ = [
     "BatchSim",
@@ -45,7 +46,7 @@ _MODULES = {
     "Pushes": "pushes",
     "QuestEnv": "gym",
     "QuestVecEnv": "sb3",
-    "QuestVectorEnv": "gym",
+    "QuestVectorEnv": "vector",
     "Randomisation": "randomisation",
     "Terrain": "terrain",
     "WorldObject": "objects",

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from numbers import Integral, Real
 from typing import Any
+
+import numpy as np
 
 from envs.objects import WorldObject
 from envs.pushes import Pushes
 from envs.randomisation import Randomisation
-from envs.terrain import Terrain, terrain_named
-from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
+from envs.terrain import Terrain
+from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M, PRESETS
 from questsim.errors import InputError
 from questsim.reward import RewardConfig
 from questsim.sensors import DEVICES, SensorNoise, sensor_set
 
 MAX_FUTURE_FRAMES = 6
+MAX_ERROR_M = 1e6
 SAMPLING = ("uniform", "failure")
 
 
@@ -34,7 +38,8 @@ class EnvConfig:
         privileged: append the coming full-body reference to the observation, for teachers.
         privileged_frames: which frames ahead the privileged part shows.
         fixed_start: for evaluation: environment i plays clip i from its first frame.
-        max_error_m: mean distance of the 16 links from the reference at which an episode ends.
+        max_error_m: mean distance of the 16 links from the reference at which an episode ends;
+            above 0, at most 1e6.
         self_collision: whether the avatar's links collide with each other.
         sampling: ``"uniform"`` over frames, or ``"failure"``: clips and moments that end in
             falls come more often.
@@ -66,6 +71,7 @@ class EnvConfig:
     randomisation: Randomisation | None = None
 
     def __post_init__(self) -> None:
+        _check_forms(self)
         imus = [name for name in sensor_set(self.sensors) if DEVICES[name].kind == "imu"]
         if imus:
             # Its place is what an IMU does not know: to show it would be to cheat.
@@ -78,8 +84,6 @@ class EnvConfig:
             raise InputError(
                 f"future_frames is {self.future_frames}, not 0 to {MAX_FUTURE_FRAMES}", "EnvConfig"
             )
-        if self.sampling not in SAMPLING:
-            raise InputError(f"sampling is {self.sampling!r}, not one of {SAMPLING}", "EnvConfig")
         if self.heights is not None:
             low, high = self.heights
             if not MIN_HEIGHT_M <= low <= high <= MAX_HEIGHT_M:
@@ -87,6 +91,12 @@ class EnvConfig:
                     f"heights {low:g}-{high:g} m are not within {MIN_HEIGHT_M}-{MAX_HEIGHT_M} m",
                     "EnvConfig",
                 )
+        # No limit at all (inf) would let a fallen avatar lie until the clip ends.
+        if not 0.0 < self.max_error_m <= MAX_ERROR_M:
+            raise InputError(
+                f"max_error_m is {self.max_error_m:g}, not above 0 and up to {MAX_ERROR_M:g} m",
+                "EnvConfig",
+            )
 
     @property
     def frame_offsets(self) -> tuple[int, ...]:
@@ -94,19 +104,56 @@ class EnvConfig:
         return tuple(range(1, self.future_frames + 1)) or (0,)
 
 
-def config_from(options: Mapping[str, Any]) -> EnvConfig:
-    """A config of keyword options, of which terrain and objects may be names.
+def _whole(value: Any) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool)
 
-    For example ``{"terrain": "rough:seed=3", "objects": ("chair",)}``.
 
-    Raises:
-        InputError: an option's value cannot be used.
-    """
-    options = dict(options)
-    if isinstance(options.get("terrain"), str):
-        options["terrain"] = terrain_named(options["terrain"])
-    if "objects" in options:
-        options["objects"] = tuple(
-            WorldObject(obj) if isinstance(obj, str) else obj for obj in options["objects"]
-        )
-    return EnvConfig(**options)
+def _number(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _form(value: Any, *, good: bool, name: str, takes: str) -> None:
+    if not good:
+        short = f"of the type {type(value).__name__}"
+        if value is None or isinstance(value, bool | Real | str):
+            short = repr(value)[:80]
+        raise InputError(f"{name} is {short}; it takes {takes}", "EnvConfig")
+
+
+def _check_forms(config: EnvConfig) -> None:
+    """Refuse a field of another form, by its name and what it takes."""
+
+    def check(name: str, takes: str, good: Callable[[Any], bool]) -> None:
+        value = getattr(config, name)
+        _form(value, good=good(value), name=name, takes=takes)
+
+    for name in ("privileged", "fixed_start", "self_collision", "height_scan"):
+        check(name, "True or False", lambda v: isinstance(v, bool | np.bool_))
+    check("sensors", "the name of a sensor set", lambda v: isinstance(v, str))
+    check("body_preset", f"one of {sorted(PRESETS)}", lambda v: v in [*PRESETS])
+    check("sampling", f"one of {list(SAMPLING)}", lambda v: v in [*SAMPLING])
+    check("future_frames", "a whole number", _whole)
+    check("max_error_m", "metres", _number)
+    check(
+        "heights",
+        "the least and the greatest stature in metres",
+        lambda v: v is None or (isinstance(v, tuple) and len(v) == 2 and all(map(_number, v))),
+    )
+    check(
+        "privileged_frames",
+        "whole numbers from 0 on",
+        lambda v: isinstance(v, tuple) and all(_whole(k) and k >= 0 for k in v),
+    )
+    check("reward", "a RewardConfig", lambda v: isinstance(v, RewardConfig))
+    for name, kind in (
+        ("noise", SensorNoise),
+        ("terrain", Terrain),
+        ("pushes", Pushes),
+        ("randomisation", Randomisation),
+    ):
+        check(name, f"None or {kind.__name__}", lambda v, k=kind: v is None or isinstance(v, k))
+    check(
+        "objects",
+        "a tuple of WorldObject",
+        lambda v: isinstance(v, tuple) and all(isinstance(thing, WorldObject) for thing in v),
+    )

@@ -5,8 +5,10 @@ Every face (gymnasium, vector, stable-baselines3, kinematic) is a thin layer ove
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import mujoco
@@ -14,7 +16,9 @@ import numpy as np
 from mujoco import batch as mujoco_batch
 
 from envs import footing, kernels
+from envs.actions import checked_actions
 from envs.config import EnvConfig
+from envs.episode_random import Seeds, Streams
 from envs.footed_clip import footed_clip
 from envs.kernel_arguments import (
     Devices,
@@ -51,6 +55,17 @@ _UNSTABLE = [
     int(mujoco.mjtWarning.mjWARN_BADQACC),
 ]
 
+
+_LOG = logging.getLogger("questsim.physics")
+
+
+def _log_warning(message: str) -> None:
+    # Unstable simulations are counted and begin anew; MuJoCo would write each to a file besides.
+    _LOG.log(logging.INFO if "unstable" in message else logging.WARNING, "%s", message)
+
+
+if mujoco.get_mju_user_warning() is None:
+    mujoco.set_mju_user_warning(_log_warning)
 
 _NUM_POSITIONS, _NUM_VELOCITIES = 7 + NUM_DOFS, 6 + NUM_DOFS
 _LINKS = slice(1, 1 + NUM_LINKS)
@@ -92,7 +107,7 @@ class BatchSim:
         reward: ``(n,)``; reward_terms: ``(n, terms)`` in the order of ``reward_names``.
         error: ``(n,)`` mean distance of the links from the reference in metres.
         fell, ended, unstable: ``(n,)`` bool of the last step: the error passed its limit (or
-            the physics failed), the clip ended, the physics was not finite.
+            the physics failed), the clip ended, the physics was not finite or ran out of memory.
         clip, frame: ``(n,)`` the clip played and the row of the reference now.
         placement, pusher, objects, signals: what surrounds the avatars, see ``Surroundings``.
         unstable_count: resets for physics that was not finite, since the beginning.
@@ -119,7 +134,7 @@ class BatchSim:
         self.heights = self._heights()
         self._ratio = self.heights / DEFAULT_HEIGHT_M
         self._build_batch(num_threads, seed)
-        self._rng = np.random.default_rng(seed)
+        self._streams = Streams(n, seed, 0)
         self._sampler = Sampler(self.reference, self.config.sampling == "failure")
         self._all = np.arange(n)
         self._floor = np.zeros(n)
@@ -150,7 +165,8 @@ class BatchSim:
         self.error = np.zeros(n)
         self._scores = Scores(compiled_terms, self.reward, self.error)
         self.fell, self.ended = np.zeros(n, bool), np.zeros(n, bool)
-        self.unstable = np.zeros(n, bool)
+        self.unstable, self._counted = np.zeros(n, bool), np.zeros(n, bool)
+        self._stopped = np.zeros(n, bool)
         self.unstable_count = 0
 
     def _begin_episodes(self) -> None:
@@ -301,7 +317,7 @@ class BatchSim:
         elif self.config.fixed_start:
             clips, first = ids, np.zeros(len(ids), np.int64)
         else:
-            clips, first = self._sampler.draw(len(ids), self._rng)
+            clips, first = self._sampler.draw(self._streams.draw(ids, 2))
         reference = self.reference
         self.clip[ids], self._first[ids] = clips, first
         self.frame[ids] = reference.start[clips] + first
@@ -310,9 +326,11 @@ class BatchSim:
         self.placement.draw(ids, clips)
         self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE.value))
         self._run(self._target_chunk, [(0, len(ids))], ids)
+        self._stopped[ids], self._counted[ids] = False, False
         self._pose(ids, rows)
         self._around.begin(ids, rows, clips)
-        self.batch.forward(ids, stage=_CURRENT)
+        with self._surviving():
+            self.batch.forward(ids, stage=_CURRENT)
         self.contact_force[ids] = 0.0
         self._previous_force[ids] = 0.0
         self._observe(ids)
@@ -336,7 +354,8 @@ class BatchSim:
         qvel[:, :3] = turned(place, qvel[:, :3])
         qvel[:, 2] += target.rise[ids, 0, 0]
         self.qpos[ids, :_NUM_POSITIONS] = qpos
-        self.batch.forward(ids, stage=int(mujoco.mjtStage.mjSTAGE_POS.value))
+        with self._surviving():
+            self.batch.forward(ids, stage=int(mujoco.mjtStage.mjSTAGE_POS.value))
         qpos[:, 2] += np.maximum(-self._clearance(ids).min(axis=-1), 0.0)
 
     def step(self, action: np.ndarray) -> None:
@@ -346,11 +365,15 @@ class BatchSim:
 
         Args:
             action: ``(n, 33)``, clipped to [-1, 1].
+
+        Raises:
+            InputError: actions of another shape, or not finite; nothing has moved then.
         """
-        np.clip(action, -1.0, 1.0, out=self.ctrl)
+        np.clip(checked_actions(action, self.ctrl.shape), -1.0, 1.0, out=self.ctrl)
         self.ctrl *= self.torque_limits
         self.pusher.apply()
-        self.batch.step(nstep=self.substeps, stage=_CURRENT)
+        with self._surviving():
+            self.batch.step(nstep=self.substeps, stage=_CURRENT)
         self._after_step()
 
     def show(self, pose: np.ndarray) -> None:
@@ -364,8 +387,19 @@ class BatchSim:
         self.qvel[:, 3:6] = FPS * rot.as_rotation(turn).as_rotvec()
         self.qvel[:, 6:_NUM_VELOCITIES] = FPS * (after[:, 7:] - before[:, 7:])
         self.qpos[:, :_NUM_POSITIONS] = after
-        self.batch.forward(stage=_CURRENT)
+        with self._surviving():
+            self.batch.forward(stage=_CURRENT)
         self._after_step(physics=False)
+
+    @contextmanager
+    def _surviving(self) -> Iterator[None]:
+        """An error that MuJoCo raises in a simulation ends that one's episode, no other's."""
+        try:
+            yield
+        except mujoco_batch.SimulationError as error:
+            # Those stayed as they were before the call; the others ran.
+            self._stopped[error.ids] = True
+            _LOG.info("%s", error)
 
     def _after_step(self, physics: bool = True) -> None:
         self._previous_force[:] = self.contact_force[..., 2]
@@ -379,8 +413,11 @@ class BatchSim:
         if self.reward_terms is not self._scores.terms:
             self._add_extra_terms()
         self.unstable[:] = (self.batch.warning[:, _UNSTABLE, 1] > 0).any(axis=1)
+        self.unstable |= self._stopped
         self.unstable |= ~np.isfinite(self.error + self.reward)
-        self.unstable_count += int(self.unstable.sum())
+        # Until its reset a simulation goes on being unstable, but that is one episode's end.
+        self.unstable_count += int((self.unstable & ~self._counted).sum())
+        self._counted |= self.unstable
         self.reward[self.unstable], self.reward_terms[self.unstable] = 0.0, 0.0
         np.logical_or(self.error > self.config.max_error_m, self.unstable, out=self.fell)
         np.logical_and(self.frame >= self._end - 1, ~self.fell, out=self.ended)
@@ -488,15 +525,23 @@ class BatchSim:
                     self.layout["height_scan"].start, view.observation,
                 )  # fmt: skip
 
-    def seed(self, seed: int) -> None:
-        """Begin the stream of random clips, frames and places anew."""
-        self._rng = np.random.default_rng(seed)
-        self._around.seed(seed)
+    def seed(self, seeds: Seeds) -> None:
+        """Begin the streams of random clips, frames and all else that episodes draw anew.
+
+        What each simulation keeps (randomised bodies, latencies, noise) is drawn once, when the
+        batch is made. Failure rates that were learned are forgotten.
+
+        Args:
+            seeds: one for all, or one for each simulation, where None leaves its streams alone.
+        """
+        self._streams.seed(seeds)
+        self._around.seed(seeds)
+        self._sampler.forget()
 
     def get_state(self) -> dict[str, Any]:
         """What the coming steps depend on: random numbers, sampler, episodes and physics."""
         return {
-            "rng": self._rng.bit_generator.state,
+            "rng": self._streams.get_state(),
             "sampler": self._sampler.get_state(),
             "unstable_count": self.unstable_count,
             "episodes": {name: getattr(self, name).copy() for name in _EPISODE},
@@ -510,14 +555,14 @@ class BatchSim:
         Raises:
             InputError: the state is of another number of simulations.
         """
-        self._rng.bit_generator.state = state["rng"]
-        self._sampler.set_state(state["sampler"])
-        if "physics" not in state:  # of an earlier version: episodes begin anew
-            return
-        if state["physics"].shape != self.batch.state.shape:
+        if "physics" in state and state["physics"].shape != self.batch.state.shape:
             raise InputError(
                 f"state is of {len(state['physics'])} simulations", "resume", "use as many"
             )
+        self._streams.set_state(state["rng"])
+        self._sampler.set_state(state["sampler"])
+        if "physics" not in state:  # of an earlier version: episodes begin anew
+            return
         self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE.value))
         self.batch.state[:] = state["physics"]
         self.batch.forward(stage=_CURRENT)

@@ -1,4 +1,4 @@
-"""Random numbers of episodes: a stream while training, fixed by the clip's name in evaluations."""
+"""Random numbers of episodes: each simulation's own while training, in evaluations the clip's."""
 
 from __future__ import annotations
 
@@ -8,50 +8,115 @@ from typing import Any
 
 import numpy as np
 
+Seeds = int | Sequence[int | None]
+"""A seed of the whole batch, or one for each simulation, where None leaves its stream alone."""
+
+_STEP = np.uint64(0x9E3779B97F4A7C15)
+_FIRST, _SECOND = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+
+
+class Streams:
+    """A random stream for each simulation: what one draws never changes another's numbers.
+
+    SplitMix64 (Steele, Lea and Flood, OOPSLA 2014), which needs two numbers of state a stream
+    and draws for any set of streams at once. Streams begin at random places of its cycle.
+
+    Args:
+        count: streams.
+        seed: same seed, same numbers; stream ``i`` does not depend on ``count``.
+        purpose: another one, other numbers of the same seed.
+    """
+
+    def __init__(self, count: int, seed: int, purpose: int) -> None:
+        self._purpose = purpose
+        self._start = np.zeros(count, np.uint64)
+        self._drawn = np.zeros(count, np.uint64)
+        self.seed(seed)
+
+    def seed(self, seeds: Seeds) -> None:
+        """Begin streams anew; ``seed(s)`` and ``seed([s])`` give stream 0 the same numbers."""
+        if isinstance(seeds, int | np.integer):
+            self._start[:] = self._starts(int(seeds), len(self._start))
+            self._drawn[:] = 0
+            return
+        for i, seed in enumerate(seeds):
+            if seed is not None:
+                self._start[i], self._drawn[i] = self._starts(seed, 1)[0], 0
+
+    def _starts(self, seed: int, count: int) -> np.ndarray:
+        return np.random.SeedSequence([seed, self._purpose]).generate_state(count, np.uint64)
+
+    def draw(self, ids: np.ndarray, width: int) -> np.ndarray:
+        """The next numbers in [0, 1) ``(m, width)`` of streams ``ids`` ``(m,)``, each once."""
+        steps = self._drawn[ids, None] + np.arange(1, width + 1, dtype=np.uint64)
+        self._drawn[ids] += np.uint64(width)
+        bits = self._start[ids, None] + steps * _STEP
+        bits = (bits ^ (bits >> np.uint64(30))) * _FIRST
+        bits = (bits ^ (bits >> np.uint64(27))) * _SECOND
+        bits ^= bits >> np.uint64(31)
+        return (bits >> np.uint64(11)) * 2.0**-53
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Where the streams stand."""
+        return {"start": self._start.copy(), "drawn": self._drawn.copy()}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on where ``get_state`` stood."""
+        if "bit_generator" in state:  # earlier versions had one stream: others begin from it
+            self.seed(int(state["state"]["state"]) % 2**64)
+            return
+        self._start[:], self._drawn[:] = state["start"], state["drawn"]
+
 
 class EpisodeRandom:
     """Even random numbers in [0, 1) for what happens in episodes.
 
     Args:
         names: of the clips.
+        count: simulations.
         seed: same seed, same numbers.
-        stream: one for each use, so that no use changes another's numbers.
+        purpose: one for each use, so that no use changes another's numbers.
         fixed: numbers depend on seed, clip and turn alone, whatever the batch and its past.
     """
 
-    def __init__(self, names: Sequence[str], seed: int, stream: int, fixed: bool) -> None:
+    def __init__(
+        self, names: Sequence[str], count: int, seed: int, purpose: int, fixed: bool
+    ) -> None:
         self._keys = [zlib.crc32(name.encode()) for name in names]
-        self._own_seed, self._stream, self._fixed = seed, stream, fixed
-        self.seed(seed)
+        self._own_seed, self._purpose, self._fixed = seed, purpose, fixed
+        self._streams = Streams(count, seed, purpose)
 
-    def seed(self, seed: int) -> None:
-        """Begin the stream anew."""
-        self._rng = np.random.default_rng([seed, self._stream])
+    def seed(self, seeds: Seeds) -> None:
+        """Begin the streams anew."""
+        self._streams.seed(seeds)
 
-    def draw(self, clips: np.ndarray, width: int, turn: np.ndarray | None = None) -> np.ndarray:
+    def draw(
+        self, ids: np.ndarray, clips: np.ndarray, width: int, turn: np.ndarray | None = None
+    ) -> np.ndarray:
         """Numbers ``(m, width)``.
 
         Args:
+            ids: ``(m,)`` simulations, each once.
             clips: ``(m,)`` the clip that each episode plays.
             width: how many each.
             turn: ``(m,)`` how many draws the episode has had before; zero if None.
         """
         if not self._fixed:
-            return self._rng.random((len(clips), width))
+            return self._streams.draw(ids, width)
         turn = np.zeros(len(clips), np.int64) if turn is None else turn
         keys = [
-            [self._own_seed, self._stream, self._keys[clip], int(t)]
+            [self._own_seed, self._purpose, self._keys[clip], int(t)]
             for clip, t in zip(clips, turn, strict=True)
         ]
         return np.array([np.random.default_rng(key).random(width) for key in keys])
 
     def get_state(self) -> Any:
-        """Where the stream stands."""
-        return self._rng.bit_generator.state
+        """Where the streams stand."""
+        return self._streams.get_state()
 
     def set_state(self, state: Any) -> None:
         """Go on where ``get_state`` stood."""
-        self._rng.bit_generator.state = state
+        self._streams.set_state(state)
 
 
 def within(numbers: np.ndarray, low_high: tuple[float, float]) -> np.ndarray:

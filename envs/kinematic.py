@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import gymnasium as gym
 import numpy as np
 
+from envs.actions import checked_actions
 from envs.config import EnvConfig
-from envs.gym import POSE_SIZE, Motions, load_clips
+from envs.options import Motions
+from envs.pictures import POSE_SIZE
 from envs.sb3 import QuestVecEnv
 from questsim.errors import InputError
+from questsim.motion.clip import Clip
 
 
 class KinematicVecEnv(QuestVecEnv):
@@ -18,19 +24,24 @@ class KinematicVecEnv(QuestVecEnv):
     forces are zero, velocities the differences of poses.
 
     Args:
-        motions: a motion argument or clips.
-        config, num_envs, seed, num_threads: as of ``QuestVecEnv``.
+        motions, config, num_envs, seed, num_threads, shown, render_mode, **options: as of
+            ``QuestVecEnv``.
     """
 
     def __init__(
         self,
-        motions: Motions,
+        motions: Motions = "synthetic",
         config: EnvConfig | None = None,
         num_envs: int | None = None,
-        seed: int = 0,
+        seed: int | None = None,
         num_threads: int = 1,
+        shown: Sequence[Clip] | None = None,
+        render_mode: str | None = None,
+        **options: Any,
     ) -> None:
-        super().__init__(load_clips(motions), config, num_envs, seed, num_threads)
+        super().__init__(
+            motions, config, num_envs, seed, num_threads, shown, render_mode, **options
+        )
         self.action_space = gym.spaces.Box(-np.inf, np.inf, (POSE_SIZE,), np.float32)
         self._pose = np.zeros((self.num_envs, POSE_SIZE))
 
@@ -40,12 +51,10 @@ class KinematicVecEnv(QuestVecEnv):
         Raises:
             InputError: a pose is not finite, or a quaternion is zero.
         """
-        poses = np.asarray(actions, float)
-        if poses.shape != self._pose.shape or not np.isfinite(poses).all():
-            raise InputError(f"poses {poses.shape} are not finite {self._pose.shape}", "action")
+        poses = checked_actions(actions, self._pose.shape, "poses").astype(float)
         norm = np.linalg.norm(poses[:, 3:7], axis=-1, keepdims=True)
         if (norm < 1e-6).any():
-            raise InputError("a root quaternion is zero", "action")
+            raise InputError("a root quaternion is zero", "poses")
         self._pose[:] = poses
         self._pose[:, 3:7] /= norm
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from envs.episode_random import EpisodeRandom, within
+from envs.episode_random import EpisodeRandom, Seeds, within
 from envs.objects import WorldObject
 from envs.placement import Placement, moved
 from envs.reference import Reference
@@ -67,7 +67,7 @@ class Objects:
         """Put the objects of episodes ``ids``, which begin at ``rows`` of the reference, down."""
         if not self._objects:
             return
-        numbers = self._random.draw(clips, 2 * len(self._objects))
+        numbers = self._random.draw(ids, clips, 2 * len(self._objects))
         roots = reference.qpos[:, :3]
         scale, place = ratio[ids, None], placement.place[ids]
         last = reference.end[clips] - 1
@@ -119,9 +119,9 @@ class Objects:
         hips = moved(place, reference.qpos[rows, :3].astype(float) * scale)[:, :2]
         spot[sits], travel[sits] = hips - SEAT_BEHIND_M * scale * look, look
 
-    def seed(self, seed: int) -> None:
-        """Begin the stream of places anew."""
-        self._random.seed(seed)
+    def seed(self, seeds: Seeds) -> None:
+        """Begin the streams of places anew."""
+        self._random.seed(seeds)
 
     def get_state(self) -> Any:
         """What the coming places depend on."""

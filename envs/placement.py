@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from envs.episode_random import EpisodeRandom
+from envs.episode_random import EpisodeRandom, Seeds
 from envs.reference import Reference
 from envs.terrain import COURSE, MARGIN_M, Terrain, height_field, tile_centre
 from questsim import rotations as rot
@@ -47,7 +47,7 @@ class Placement:
     ) -> None:
         self._terrain, self._ratio = terrain, ratio
         # A stream of its own: a terrain does not change which clips are drawn.
-        self._random = EpisodeRandom(reference.names, seed, 1, fixed)
+        self._random = EpisodeRandom(reference.names, len(ratio), seed, 1, fixed)
         self.place = np.zeros((len(ratio), 4))
         self.place[:, 2] = 1.0
         self.tile = np.zeros((len(ratio), 2), np.int64)
@@ -68,16 +68,16 @@ class Placement:
                 "leave it out or make the terrain larger (size_m, tile_m)",
             )
 
-    def seed(self, seed: int) -> None:
-        """Begin the stream of places anew."""
-        self._random.seed(seed)
+    def seed(self, seeds: Seeds) -> None:
+        """Begin the streams of places anew."""
+        self._random.seed(seeds)
 
     def draw(self, ids: np.ndarray, clips: np.ndarray) -> None:
         """Choose places of simulations ``ids`` that begin to play ``clips``."""
         terrain, field = self._terrain, self.field
         if terrain is None or field is None:
             return
-        numbers = self._random.draw(clips, 5)
+        numbers = self._random.draw(ids, clips, 5)
         if terrain.direction == "any":
             turn = 2.0 * np.pi * numbers[:, 0]
         else:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from envs.episode_random import EpisodeRandom, within
+from envs.episode_random import EpisodeRandom, Seeds, within
 from questsim.errors import InputError
 from questsim.motion.clip import FPS
 from questsim.skeleton import LINKS
@@ -118,7 +118,7 @@ class Pusher:
         pushes = self._pushes
         if pushes is None or len(ids) == 0:
             return
-        numbers = self._random.draw(self._clip[ids], 4, self._done[ids])
+        numbers = self._random.draw(ids, self._clip[ids], 4, self._done[ids])
         self._pause_s[ids] = within(numbers[:, 0], pushes.pause_s)
         if pushes.count is not None:
             self._pause_s[ids[self._done[ids] >= pushes.count]] = np.inf
@@ -149,9 +149,9 @@ class Pusher:
         self._wrench[np.arange(len(share)), self._body, :3] = self.force
         self._left_s[:] = np.maximum(self._left_s - 1.0 / FPS, 0.0)
 
-    def seed(self, seed: int) -> None:
-        """Begin the stream of pushes anew."""
-        self._random.seed(seed)
+    def seed(self, seeds: Seeds) -> None:
+        """Begin the streams of pushes anew."""
+        self._random.seed(seeds)
 
     def get_state(self) -> dict[str, Any]:
         """What the coming pushes depend on."""

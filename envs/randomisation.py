@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from envs.episode_random import within
+from envs.episode_random import Seeds, Streams, within
 from envs.pushes import check_range
 from questsim.skeleton import NUM_LINKS
 
@@ -84,8 +84,8 @@ class SignalFaults:
 
     def __init__(self, options: Randomisation | None, n: int, devices: int, seed: int) -> None:
         self._options = options or Randomisation()
-        self._rng = np.random.default_rng([seed, 11])
-        numbers = self._rng.random((n, 2))
+        numbers = np.random.default_rng([seed, 11]).random((n, 2))
+        self._streams, self._all = Streams(n, seed, 11), np.arange(n)
         low, high = self._options.latency_frames
         self.late = np.minimum((low + (high - low + 1) * numbers[:, 0]).astype(np.int64), high)
         self.dropout = within(numbers[:, 1], self._options.dropout)
@@ -102,23 +102,28 @@ class SignalFaults:
             return
         self._until = np.maximum(self._until - 1, 0)
         self.newest[self._until == 0] = NEVER
-        numbers = self._rng.random((2, *self.newest.shape))
-        falls = (numbers[0] < self.dropout[:, None]) & (self._until == 0)
+        n, devices = self.newest.shape
+        numbers = self._streams.draw(self._all, 2 * devices).reshape(n, 2, devices)
+        falls = (numbers[:, 0] < self.dropout[:, None]) & (self._until == 0)
         low, high = self._options.dropout_frames
-        frames = (low + (high - low + 1) * numbers[1]).astype(np.int64)
+        frames = (low + (high - low + 1) * numbers[:, 1]).astype(np.int64)
         self._until = np.where(falls, np.minimum(frames, high), self._until)
         shown = np.broadcast_to(newest[:, None] - 1, self.newest.shape)
         self.newest[falls] = shown[falls]
 
+    def seed(self, seeds: Seeds) -> None:
+        """Begin the streams of silences anew; latencies and chances stay."""
+        self._streams.seed(seeds)
+
     def get_state(self) -> dict[str, object]:
         """What the coming signals depend on."""
         return {
-            "rng": self._rng.bit_generator.state,
+            "rng": self._streams.get_state(),
             "newest": self.newest.copy(),
             "until": self._until.copy(),
         }
 
     def set_state(self, state: dict) -> None:
         """Take up what ``get_state`` gave."""
-        self._rng.bit_generator.state = state["rng"]
+        self._streams.set_state(state["rng"])
         self.newest[:], self._until[:] = state["newest"], state["until"]

@@ -34,6 +34,6 @@ def register() -> None:
             _register(
                 name,
                 entry_point="envs.gym:QuestEnv",
-                vector_entry_point="envs.gym:QuestVectorEnv",
+                vector_entry_point="envs.vector:QuestVectorEnv",
                 kwargs=dict(options),
             )

@@ -39,14 +39,14 @@ class Sampler:
         self.bin_failure = np.full(len(self._clip_of_bin), 0.5)
         self._cumulative: np.ndarray | None = None
 
-    def draw(self, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """``count`` clips and first frames within them, int64 ``(count,)`` each."""
+    def draw(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Clips and first frames in them, int64 ``(m,)`` each, for numbers ``(m, 2)`` in [0, 1)."""
         if self._cumulative is None:
             weights = self.weights()
             self._cumulative = np.cumsum(weights / weights.sum())
-        pick = np.searchsorted(self._cumulative, rng.random(count), side="right")
+        pick = np.searchsorted(self._cumulative, numbers[:, 0], side="right")
         pick = np.minimum(pick, len(self._cumulative) - 1)
-        within = (rng.random(count) * self._bin_frames[pick]).astype(np.int64)
+        within = (numbers[:, 1] * self._bin_frames[pick]).astype(np.int64)
         return self._clip_of_bin[pick], self._bin_start[pick] + within
 
     def weights(self) -> np.ndarray:
@@ -69,6 +69,11 @@ class Sampler:
         for clip, bin_, fall, fall_soon in zip(clips, bins, fell, soon, strict=True):
             self.clip_failure[clip] += SMOOTHING * (fall - self.clip_failure[clip])
             self.bin_failure[bin_] += SMOOTHING * (fall_soon - self.bin_failure[bin_])
+        self._cumulative = None
+
+    def forget(self) -> None:
+        """Take every clip and moment as equally hard again."""
+        self.clip_failure[:], self.bin_failure[:] = 0.5, 0.5
         self._cumulative = None
 
     def get_state(self) -> dict[str, np.ndarray]:

@@ -8,17 +8,22 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.utils import EzPickle
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
+from envs.actions import checked_actions
 from envs.config import EnvConfig
 from envs.core import BatchSim
-from envs.layout import observation_size
+from envs.gym import spaces_of
+from envs.options import Motions, clips_of, config_of
+from envs.pictures import Pictures, check_render_mode
+from envs.starts_asked import asked_start, entropy, seeds_of
 from questsim.motion.clip import Clip
 from questsim.skeleton import NUM_DOFS
 
 
-class QuestVecEnv(VecEnv):
+class QuestVecEnv(VecEnv, EzPickle):
     """The avatars of a ``BatchSim`` as a VecEnv; ended episodes begin anew by themselves.
 
     ``infos[i]`` is empty but at an episode's end, when it holds ``terminal_observation``,
@@ -26,27 +31,42 @@ class QuestVecEnv(VecEnv):
     the mean of each term of the reward by name. The terms of every single step are in
     ``reward_terms`` ``(n, terms)``, in the order of ``reward_names``.
 
+    Copies and pickles are made anew from these arguments: they begin no episode.
+
     Args:
-        clips, config, num_envs, seed, num_threads, shown: as of ``BatchSim``.
+        motions: a motion argument or clips.
+        config: options of the task; keyword options make one, e.g. ``sensors="H"``.
+        num_envs, num_threads, shown: as of ``BatchSim``.
+        seed: of all that is drawn; with None each VecEnv draws other episodes until ``seed``
+            gives a seed.
+        render_mode: ``"rgb_array"`` or None.
+        **options: fields of ``EnvConfig``, also in the plain forms of ``envs.options``.
+
+    Raises:
+        InputError: an argument that cannot be used, in one line.
     """
 
     def __init__(
         self,
-        clips: Sequence[Clip],
+        motions: Motions = "synthetic",
         config: EnvConfig | None = None,
         num_envs: int | None = None,
-        seed: int = 0,
+        seed: int | None = None,
         num_threads: int = 1,
         shown: Sequence[Clip] | None = None,
+        render_mode: str | None = None,
+        **options: Any,
     ) -> None:
-        self.render_mode = None
-        self.sim = BatchSim(clips, config, num_envs, seed, num_threads, shown)
-        size = observation_size(self.sim.layout)
-        super().__init__(
-            self.sim.num_envs,
-            gym.spaces.Box(-np.inf, np.inf, (size,), np.float32),
-            gym.spaces.Box(-1.0, 1.0, (NUM_DOFS,), np.float32),
+        EzPickle.__init__(
+            self, motions, config, num_envs, seed, num_threads, shown, render_mode, **options
         )
+        check_render_mode(render_mode, ["rgb_array"])
+        self.render_mode, given = render_mode, seeds_of(seed, 1)[0]
+        clips, task = clips_of(motions), config_of(config, options)
+        self.sim = BatchSim(clips, task, num_envs, given or 0, num_threads, shown)
+        self._unseeded = given is None and not task.fixed_start
+        self._pictures = Pictures(self.sim)
+        VecEnv.__init__(self, self.sim.num_envs, *spaces_of(self.sim))
         self._action = np.zeros((self.sim.num_envs, NUM_DOFS))
         self._return = np.zeros(self.sim.num_envs)
         self._length = np.zeros(self.sim.num_envs, np.int64)
@@ -56,7 +76,7 @@ class QuestVecEnv(VecEnv):
 
     def __getattr__(self, name: str) -> Any:
         """Everything else is the simulation's: layout, link_positions, reward_terms, ..."""
-        if name == "sim":
+        if name == "sim" or name.startswith("__"):
             raise AttributeError(name)
         return getattr(self.sim, name)
 
@@ -78,11 +98,19 @@ class QuestVecEnv(VecEnv):
         if self._restored:
             self._restored = False
             return self.sim.observation.copy()
-        for seed in self._seeds[:1]:
-            if seed is not None:
-                self.sim.seed(seed)
+        starts = [asked_start(self.sim.reference, each or None) for each in self._options]
+        seeds = seeds_of(self._seeds, self.num_envs)
+        if self._unseeded and None in seeds:
+            self.sim.seed(entropy())
+        self._unseeded = False
+        if any(seed is not None for seed in seeds):
+            self.sim.seed(seeds)
         self._reset_seeds()
+        self._reset_options()
         self.sim.reset()
+        for i, start in enumerate(starts):
+            if start is not None:
+                self.sim.reset(np.array([i]), *start)
         self._return[:], self._length[:], self._terms[:] = 0.0, 0, 0.0
         return self.sim.observation.copy()
 
@@ -94,8 +122,12 @@ class QuestVecEnv(VecEnv):
         return self.step_wait()
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take the actions ``(n, 33)`` of the next step."""
-        self._action[:] = actions
+        """Take the actions ``(n, 33)`` of the next step.
+
+        Raises:
+            InputError: actions of another shape, or not finite.
+        """
+        self._action[:] = checked_actions(actions, self._action.shape)
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Step; see the class for what infos hold."""
@@ -150,6 +182,7 @@ class QuestVecEnv(VecEnv):
             InputError: the state is of another number of environments.
         """
         self.sim.set_state(state)
+        self._unseeded = False
         # A seed that waits for the next reset would undo the restored random numbers.
         self._reset_seeds()
         if "physics" in state:
@@ -157,8 +190,15 @@ class QuestVecEnv(VecEnv):
             self._terms[:] = state["terms"]
             self._restored = True
 
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        """An image ``(480, 640, 3)`` uint8 of each avatar; None without a render mode."""
+        if self.render_mode is None:
+            return [None] * self.num_envs
+        return [self._pictures.of(i) for i in range(self.num_envs)]
+
     def close(self) -> None:
-        """Stop the simulation's threads."""
+        """Release the renderers and the simulation's threads."""
+        self._pictures.close()
         self.sim.close()
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:

@@ -8,7 +8,7 @@ import numpy as np
 from mujoco import batch as mujoco_batch
 
 from envs.config import EnvConfig
-from envs.episode_random import EpisodeRandom
+from envs.episode_random import EpisodeRandom, Seeds
 from envs.object_places import Objects
 from envs.placement import Placement
 from envs.pushes import Pusher
@@ -45,11 +45,11 @@ class Surroundings:
         self._reference, self._ratio = reference, ratio
         self.placement = Placement(reference, config.terrain, ratio, seed, fixed)
         self.pusher = Pusher(
-            config.pushes, EpisodeRandom(names, seed, 2, fixed), bind("xfrc_applied")
+            config.pushes, EpisodeRandom(names, len(ratio), seed, 2, fixed), bind("xfrc_applied")
         )
         self.objects = Objects(
             config.objects,
-            EpisodeRandom(names, seed, 3, fixed),
+            EpisodeRandom(names, len(ratio), seed, 3, fixed),
             bind("qpos"),
             bind("qvel"),
             bind("sensordata"),
@@ -71,10 +71,10 @@ class Surroundings:
             "signals": self.signals,
         }
 
-    def seed(self, seed: int) -> None:
-        """Begin the streams of places, pushes and objects anew."""
-        for part in (self.placement, self.pusher, self.objects):
-            part.seed(seed)
+    def seed(self, seeds: Seeds) -> None:
+        """Begin the streams of places, pushes, objects and silent devices anew."""
+        for part in self._parts().values():
+            part.seed(seeds)
 
     def get_state(self) -> dict[str, Any]:
         """What the coming episodes depend on."""

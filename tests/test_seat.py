@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from envs import BatchSim, EnvConfig, Terrain, WorldObject
-from envs.config import config_from
+from envs.options import config_from
 from envs.world import build_world
 from questsim.body import build_body
 from questsim.errors import InputError

@@ -10,9 +10,10 @@ import numpy as np
 
 from agents.agent import Agent
 from agents.evaluation.follow import evaluation_sim, follow
-from envs.config import EnvConfig, config_from
+from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.objects import shapes_of
+from envs.options import config_from
 from questsim.errors import InputError
 from questsim.metrics import Rollout
 from questsim.motion.clip import FPS, Clip

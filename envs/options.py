@@ -1,0 +1,186 @@
+"""Options of an environment in plain forms (names, numbers, mappings) as an ``EnvConfig``."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from typing import Any, TypeVar
+
+import numpy as np
+
+from envs.config import EnvConfig
+from envs.objects import WorldObject
+from envs.pushes import Pushes
+from envs.randomisation import Randomisation
+from envs.terrain import Terrain, terrain_named
+from questsim.errors import InputError
+from questsim.motion.clip import Clip
+from questsim.reward import RewardConfig
+from questsim.sensors import SensorNoise
+
+Motions = str | Clip | Sequence[Clip]
+"""What to follow: clips, or a motion argument such as ``"bandai-namco-2:train"``."""
+
+_T = TypeVar("_T")
+
+
+def clips_of(motions: Any) -> Sequence[Clip]:
+    """Clips as they are, or those that a motion argument names.
+
+    Raises:
+        InputError: neither, or no such motions.
+    """
+    if isinstance(motions, Clip):
+        return [motions]
+    listed: list[Any] = [motions] if isinstance(motions, str) else _listed(motions)
+    if listed and all(isinstance(part, str) for part in listed):
+        from questsim.motion.spec import load_motions
+
+        return load_motions(motions)
+    for number, clip in enumerate(listed):
+        if not isinstance(clip, Clip):
+            raise InputError(
+                f"is {_shown(clip)}, not a Clip",
+                f"motions[{number}]",
+                'give clips, or a motion argument such as "synthetic:walk"',
+            )
+    return listed
+
+
+def _listed(motions: Any) -> list[Any]:
+    if isinstance(motions, Sequence):
+        return list(motions)
+    raise InputError(
+        f"is {_shown(motions)}, not a list of clips",
+        "motions",
+        'give clips, or a motion argument such as "synthetic:walk"',
+    )
+
+
+def config_from(options: Mapping[str, Any]) -> EnvConfig:
+    """A config of keyword options in plain forms.
+
+    For example ``{"terrain": "rough:seed=3", "objects": ("chair",), "heights": 1.7,
+    "pushes": (0, 100), "reward": {"contact": 0.5}}``: a terrain or an object is its name, one
+    height is that of all, two numbers are the force of pushes in newtons, and a mapping has the
+    fields that differ from their defaults.
+
+    Raises:
+        InputError: there is no such option, or its value cannot be used.
+    """
+    known = [field.name for field in fields(EnvConfig)]
+    for name in options:
+        if name not in known:
+            raise InputError(_unknown(name, known), "options", f"there are {', '.join(known)}")
+    return EnvConfig(**{name: _PLAIN.get(name, _same)(v) for name, v in options.items()})
+
+
+def config_of(config: Any, options: Mapping[str, Any]) -> EnvConfig:
+    """The config of a constructor that takes one as well as keyword options.
+
+    Args:
+        config: an ``EnvConfig``, a mapping of its fields, or None.
+        options: keyword options, among them those of an id such as ``QuestSimRough-v0``.
+
+    Raises:
+        InputError: the two contradict each other, or as ``config_from``.
+    """
+    if config is None:
+        return config_from(options)
+    if isinstance(config, Mapping):
+        config = config_from(config)
+    if not isinstance(config, EnvConfig):
+        raise InputError(f"is {_shown(config)}, not an EnvConfig", "config")
+    wanted = config_from(options)
+    for name in options:
+        if getattr(config, name) != getattr(wanted, name):
+            raise InputError(
+                f"has {name}={_shown(getattr(config, name))}, but the id or a keyword asks for "
+                f"{_shown(getattr(wanted, name))}",
+                "config",
+                f"leave config out and give its fields as keywords, or set {name} in it",
+            )
+    return config
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+def _terrain(value: Any) -> Any:
+    if isinstance(value, str):
+        return terrain_named(value)
+    return _fields_of(Terrain, value, "terrain")
+
+
+def _objects(value: Any) -> Any:
+    things = [value] if isinstance(value, str | Mapping | WorldObject) else value
+    if not isinstance(things, Sequence):
+        return value
+    return tuple(
+        WorldObject(thing) if isinstance(thing, str) else _fields_of(WorldObject, thing, "objects")
+        for thing in things
+    )
+
+
+def _pushes(value: Any) -> Any:
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return Pushes(force_n=tuple(value))  # type: ignore[arg-type]  # checked there
+    return _fields_of(Pushes, value, "pushes")
+
+
+def _heights(value: Any) -> Any:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return (float(value), float(value))
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _frames(value: Any) -> Any:
+    if isinstance(value, int) and not isinstance(value, bool):
+        return (value,)
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _fields_of(kind: type[_T], value: Any, where: str) -> Any:
+    """A mapping as a dataclass of a kind; anything else as it is, for ``EnvConfig`` to judge."""
+    if not isinstance(value, Mapping):
+        return value
+    known = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    for name in value:
+        if name not in known:
+            raise InputError(_unknown(name, known), where, f"it has {', '.join(known)}")
+    for field in fields(kind):  # type: ignore[arg-type]
+        number = isinstance(field.default, int | float) and not isinstance(field.default, bool)
+        given = value.get(field.name, 0.0)
+        if number and not (isinstance(given, int | float) and np.isfinite(given)):
+            raise InputError(f"is {_shown(given)}, not a number", f"{where} {field.name}")
+    return kind(**{name: tuple(v) if isinstance(v, list) else v for name, v in value.items()})
+
+
+_PLAIN: dict[str, Callable[[Any], Any]] = {
+    "terrain": _terrain,
+    "objects": _objects,
+    "pushes": _pushes,
+    "heights": _heights,
+    "privileged_frames": _frames,
+    "reward": lambda value: _fields_of(RewardConfig, value, "reward"),
+    "noise": lambda value: _fields_of(SensorNoise, value, "noise"),
+    "randomisation": lambda value: _fields_of(Randomisation, value, "randomisation"),
+}
+
+
+def _unknown(name: Any, known: Sequence[str]) -> str:
+    near = difflib.get_close_matches(str(name), known, 1)
+    return f"there is no {_shown(name)}" + (f" (did you mean {near[0]}?)" if near else "")
+
+
+def _shown(value: Any) -> str:
+    """A value in an error: short, and of an array or a clip no more than its type."""
+    if isinstance(value, Terrain):
+        return f"the terrain {value.kind!r}"
+    plain = value is None or isinstance(value, bool | int | float | str)
+    if plain or (isinstance(value, tuple | list | dict) and len(repr(value)) <= 80):
+        text = repr(value)
+        return text if len(text) <= 80 else text[:77] + "..."
+    return f"of the type {type(value).__name__}"
