@@ -8,8 +8,8 @@ import sys
 # Threads that spin while they wait for work starve the physics threads next to them.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
-from agents.evaluation.evaluate import EvaluateArgs, evaluate
-from questsim.cli import run
+from agents.commands.evaluate import EVALUATE
+from questsim.cli import run_modes
 
 if __name__ == "__main__":
-    sys.exit(run(evaluate, EvaluateArgs))
+    sys.exit(run_modes(EVALUATE))

@@ -8,8 +8,8 @@ import sys
 # Threads that spin while they wait for work starve the physics threads next to them.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
-from agents.training.train_policy import TrainArgs, train
-from questsim.cli import run
+from agents.commands.train import TRAIN
+from questsim.cli import run_modes
 
 if __name__ == "__main__":
-    sys.exit(run(train, TrainArgs))
+    sys.exit(run_modes(TRAIN))

@@ -1,22 +1,31 @@
-"""Agents by name or folder."""
+"""Agents that answer observations with torques, by name or folder."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from agents.agent import Agent, RandomAgent, ZeroAgent
-from agents.policy.checkpoint import find_policy, load_policy
+from agents.policy.checkpoint import load_policy
+from agents.resolve import PHYSICS, ZERO, base_of, own_object, resolve
+from questsim.errors import InputError
 
 
 def load_agent(path_or_name: str | Path) -> Agent:
-    """An agent by name (``zero``, ``random`` or a shipped policy), policy folder or run folder.
+    """An agent by name, checkpoint, stage or run folder, or ``package.module:Class``.
 
     Raises:
-        InputError: if there is no such agent, or its checkpoint is of another format version,
-            joint order, link order or observation layout.
+        InputError: there is no such agent; it is a kinematic system, which answers with poses; or
+            its checkpoint is of another format version, joint order, link order or observation
+            layout.
     """
-    if path_or_name == "zero":
-        return ZeroAgent()
-    if path_or_name == "random":
-        return RandomAgent()
-    return load_policy(find_policy(path_or_name))
+    found = resolve(path_or_name)
+    if found.kind == "baseline":
+        return ZeroAgent() if found.name == ZERO else RandomAgent()
+    if found.kind == "own":
+        return own_object(found.name)
+    if not found.torques:
+        base = base_of(found.name) or found.name
+        fix = f"evaluate.py and questsim demo take {base} and {base}{PHYSICS}"
+        raise InputError("is a kinematic system, which gives no torques", found.name, fix)
+    assert found.folder is not None
+    return load_policy(found.folder)

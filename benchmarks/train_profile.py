@@ -19,8 +19,8 @@ import torch
 from agents.agent import Needs
 from agents.policy.checkpoint import save_policy
 from agents.training.make_learner import make_learner
+from agents.training.options import TrainArgs
 from agents.training.presets import PRESETS
-from agents.training.train_policy import TrainArgs
 from benchmarks.common import arguments, clips, report, seconds
 from envs import EnvConfig, QuestVecEnv
 

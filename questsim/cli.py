@@ -13,17 +13,16 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from questsim import __version__
-from questsim.errors import InputError
+from questsim.errors import BAD_INPUT, INTERRUPTED, InputError
 from questsim.extensions import load_extensions
-
-BAD_INPUT, INTERRUPTED = 2, 130
-"""Exit codes: input that cannot be used; Ctrl-C, as shells count it (128 + SIGINT)."""
+from questsim.modes import Modes
 
 
 class Command(NamedTuple):
     """A subcommand: where its function and the dataclass of its options are, and one line of help.
 
-    The function takes the dataclass as its only argument.
+    The function takes the dataclass as its only argument. Where a command has several jobs with
+    options of their own, ``args`` names its ``Modes`` and ``function`` is empty.
     """
 
     module: str
@@ -66,11 +65,11 @@ COMMANDS: dict[str, Command] = {
         "draw a clip: a contact sheet and a video",
     ),
     "train": Command(
-        "agents.training.train_policy", "train", "TrainArgs",
+        "agents.commands.train", "", "TRAIN",
         "train an agent, or go on with an earlier training",
     ),
     "evaluate": Command(
-        "agents.evaluation.evaluate", "evaluate", "EvaluateArgs",
+        "agents.commands.evaluate", "", "EVALUATE",
         "let an agent follow clips and score it",
     ),
     "estimate": Command(
@@ -149,6 +148,24 @@ def run(command: Callable[[Any], object], args: type, argv: Sequence[str] | None
     return guarded(parse_and_run)
 
 
+def run_modes(modes: Modes, argv: Sequence[str] | None = None) -> int:
+    """Parse a command line of several jobs and do the one that it asks for, guarded.
+
+    Args:
+        modes: the jobs.
+        argv: the arguments; by default those of the process.
+
+    Returns:
+        The exit code; see ``guarded``.
+    """
+
+    def parse_and_run() -> object:
+        load_extensions()
+        return modes.run(sys.argv[1:] if argv is None else argv)
+
+    return guarded(parse_and_run)
+
+
 def usage() -> str:
     """The text of ``questsim --help``."""
     width = max(map(len, COMMANDS))
@@ -195,6 +212,8 @@ def _run_named(name: str, argv: Sequence[str]) -> int:
     def parse_and_run() -> object:
         load_extensions()
         module = importlib.import_module(command.module)
+        if not command.function:
+            return getattr(module, command.args).run(argv, f"questsim {name}")
         args = tyro.cli(
             getattr(module, command.args),
             args=argv,

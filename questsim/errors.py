@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+BAD_INPUT, INTERRUPTED = 2, 130
+"""Exit codes: input that cannot be used; Ctrl-C, as shells count it (128 + SIGINT)."""
+
 
 class InputError(ValueError):
     """Input that cannot be used: a file, an option, a checkpoint.

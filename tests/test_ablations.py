@@ -16,6 +16,7 @@ from agents.comparison.report import Row
 from agents.kinematic import load_system
 from agents.kinematic.data import MotionBank
 from agents.kinematic.interface import UserBody
+from agents.kinematic.options import TrainSystemArgs
 from agents.kinematic.recurrent.features import ATOMS
 from agents.kinematic.recurrent.hmdposer import HmdPoserNet, HmdPoserSpec
 from agents.kinematic.recurrent.lgsik import PARTS, LgsikNet, LgsikSpec
@@ -23,8 +24,8 @@ from agents.kinematic.registry import AGENTS
 from agents.kinematic.skeletal import MaskedConv, MaskedLinear, PlainMixing
 from agents.kinematic.store import find_system, load_module, read_system_card, save_system
 from agents.kinematic.switches import switches
+from agents.kinematic.training import train_system
 from agents.overrides import with_overrides
-from agents.training.train_policy import TrainArgs, train
 from questsim.cli import main
 from questsim.errors import InputError
 from questsim.joint_sensors import readings
@@ -287,10 +288,10 @@ def test_the_stage_of_a_part_that_is_left_out_is_not_trained(
     values = (f"spec.{switch}=false",)
     needed = AGENTS[agent].needed(config_of(agent, *values))
     assert list(needed.stages) == stages and needed.stages[stages[0]].share == 1.0
-    arguments = TrainArgs(
+    arguments = TrainSystemArgs(
         out=out, agent=agent, motions=library, preset="smoke", steps=1, threads=1, set=values
     )
-    assert train(arguments) == 0
+    assert train_system(arguments) == 0
     folder = find_system(out)
     assert folder is not None and read_system_card(folder)["training"]["trained"] == stages
     system = load_system(out)

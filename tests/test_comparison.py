@@ -9,11 +9,11 @@ import pytest
 import torch
 from PIL import Image
 
-from agents.comparison.compare import FIGURES, FILES, everyone, plan
+from agents.comparison.compare import FIGURES, FILES, CompareArgs, compare, everyone, plan
 from agents.comparison.plots import KINDS, kind_of
 from agents.comparison.report import Row, table
 from agents.comparison.scenarios import faulty, scenarios
-from agents.evaluation.evaluate import EvaluateArgs, evaluate
+from agents.evaluation import EvaluateArgs, evaluate
 from agents.kinematic import load_system
 from agents.kinematic.data import MotionBank
 from agents.kinematic.efficiency import mmac_a_frame, stream_kib
@@ -51,8 +51,8 @@ def test_one_command_scores_all_systems_on_the_same_frames(tmp_path, capsys):
     save_library(motions, [MOTION], [])
     hmd = saved("hmdposer", tmp_path / "hmd")
     out = tmp_path / "scores"
-    args = EvaluateArgs(compare=True, agents=("ik", hmd), motions=str(motions), out=out, threads=1)
-    assert evaluate(args) == 0
+    args = CompareArgs(agents=("ik", hmd), motions=str(motions), out=out, threads=1)
+    assert compare(args) == 0
     report = json.loads((out / "comparison.json").read_text())
     assert [row["agent"] for row in report["rows"]] == ["recording", "ik", *[hmd] * 6]
     recording = report["rows"].pop(0)["pooled"]
@@ -75,17 +75,15 @@ def test_one_command_scores_all_systems_on_the_same_frames(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"agents": ("ik",)}, "a comparison needs a folder"),
-        ({"agents": ("ik",), "sensors": "7T", "out": "there"}, "unknown sensor set '7T'"),
-        ({"agents": ("ik",), "sensors": "H", "out": "there"}, "ik is not run with H"),
-        ({"agents": ("nobody",), "out": "there"}, "nobody: is no kinematic system"),
+        ({"agents": ("ik",), "sensors": "7T"}, "unknown sensor set '7T'"),
+        ({"agents": ("ik",), "sensors": "H"}, "ik is not run with H"),
+        ({"agents": ("nobody",)}, "nobody: is no agent; name .* or .*questsim, .*hmdposer.*zero"),
+        ({"agents": ("nobody+physics",)}, "nobody: is no kinematic system"),
     ],
 )
 def test_a_comparison_without_what_it_needs_is_refused(options, message, tmp_path):
-    if "out" in options:
-        options = options | {"out": tmp_path / "there"}
     with pytest.raises(InputError, match=message):
-        evaluate(EvaluateArgs(compare=True, **options))
+        compare(CompareArgs(out=tmp_path / "there", **options))
     assert not (tmp_path / "there").exists()
 
 
@@ -141,11 +139,11 @@ def test_two_processes_give_the_figures_of_one(tmp_path):
     found = []
     for threads in (1, 2):
         out = tmp_path / f"scores{threads}"
-        args = EvaluateArgs(
-            compare=True, agents=(hmd,), sensors="H+2C", motions=str(motions), out=out,
+        args = CompareArgs(
+            agents=(hmd,), sensors="H+2C", motions=str(motions), out=out,
             threads=threads,
         )  # fmt: skip
-        assert evaluate(args) == 0
+        assert compare(args) == 0
         rows = json.loads((out / "comparison.json").read_text())["rows"]
         found.append([(row["scenario"], row["pooled"]) for row in rows])
     assert found[0] == found[1] and len(found[0]) == 3

@@ -9,6 +9,7 @@ from PIL import Image
 
 from agents.comparison import film as comparison_film
 from agents.comparison.compare import FILES as TABLES
+from agents.comparison.compare import CompareArgs, compare
 from agents.comparison.film import (
     FILES,
     GHOST_OPACITY,
@@ -20,7 +21,7 @@ from agents.comparison.film import (
     parts_of,
     to_be_filmed,
 )
-from agents.evaluation.evaluate import EvaluateArgs, evaluate
+from agents.evaluation import EvaluateArgs, evaluate
 from agents.kinematic.interface import Poses
 from questsim.errors import InputError
 from questsim.metrics_terms import mpjpe_cm
@@ -62,11 +63,11 @@ def scene(lost_after: int | None = None) -> Scene:
 def test_a_comparison_is_filmed_beside_its_table(library, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(comparison_film, "SIZE", SMALL)
     out = tmp_path / "scores"
-    args = EvaluateArgs(
-        compare=True, agents=("ik",), motions=library, out=out, threads=1, max_clips=1,
+    args = CompareArgs(
+        agents=("ik",), motions=library, out=out, threads=1, max_clips=1,
         video=True, video_clips=("sway",),
     )  # fmt: skip
-    assert evaluate(args) == 0
+    assert compare(args) == 0
     assert {file.name for file in out.iterdir()} == {*TABLES, *FILES}
     video = iio.imread(out / "comparison.mp4")
     shown = len(range(0, len(to_clip(MOTION)), STRIDE)) + round(0.7 * FPS / STRIDE)
@@ -81,28 +82,25 @@ def test_without_opengl_the_table_is_written_and_one_line_says_why_there_is_no_f
 ):
     monkeypatch.setattr(comparison_film, "find_gl", lambda: None)
     out = tmp_path / "scores"
-    args = EvaluateArgs(
-        compare=True, agents=("ik",), motions=library, out=out, threads=1, max_clips=1, video=True
-    )
-    assert evaluate(args) == 0
+    args = CompareArgs(agents=("ik",), motions=library, out=out, threads=1, max_clips=1, video=True)
+    assert compare(args) == 0
     assert {file.name for file in out.iterdir()} == set(TABLES)
     lines = capsys.readouterr().err.strip().splitlines()
     assert [line for line in lines if line.startswith("video")] == lines[-1:]
     assert lines[-1].startswith("video skipped:")
 
 
-@pytest.mark.parametrize("compare", [True, False])
-def test_clips_nobody_has_are_refused_before_anything_is_computed(library, tmp_path, compare):
+@pytest.mark.parametrize("function", [compare, evaluate])
+def test_clips_nobody_has_are_refused_before_anything_is_computed(library, tmp_path, function):
     out = tmp_path / "there"
-    args = EvaluateArgs(
-        agent="zero", compare=compare, agents=("ik",), motions=library, out=out, threads=1,
-        video=True, video_clips=("nobody",),
-    )  # fmt: skip
+    filmed = {"motions": library, "out": out, "video": True, "video_clips": ("nobody",)}
+    one = CompareArgs(agents=("ik",), threads=1, **filmed)
+    args = one if function is compare else EvaluateArgs(agent="zero", threads=1, **filmed)
     with pytest.raises(InputError, match="--video-clips: there is no clip 'nobody'"):
-        evaluate(args)
+        function(args)
     assert not out.exists()
     with pytest.raises(InputError, match="add --video"):
-        evaluate(replace(args, video=False))
+        function(replace(args, video=False))
 
 
 def test_named_clips_are_filmed_in_the_order_of_their_names_at_60_hz():

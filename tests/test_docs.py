@@ -14,6 +14,7 @@ import pytest
 import yaml
 
 from questsim.cli import COMMANDS
+from questsim.modes import Modes
 from questsim.viewing import gl
 
 ROOT = Path(__file__).parents[1]
@@ -122,7 +123,11 @@ def test_commands_in_the_pages_have_the_options_that_are_given():
         if words[0] != "questsim" or not names:
             continue
         command = COMMANDS[names[0]]
-        known = {f.name for f in fields(getattr(import_module(command.module), command.args))}
+        args = getattr(import_module(command.module), command.args)
+        if isinstance(args, Modes):
+            mode, words = args.chosen(words[2:])
+            args = mode.args
+        known = {f.name for f in fields(args)}
         given = {w[2:].split("=")[0].replace("-", "_") for w in words if w.startswith("--")}
         given = {g.removeprefix("no_") if g not in known else g for g in given}
         wrong += [f"{line}: {option}" for option in given - known - {"help", "set"}]

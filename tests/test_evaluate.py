@@ -11,8 +11,8 @@ import torch
 from helpers import swaying_clip
 
 from agents.agent import Needs, RandomAgent, ZeroAgent
+from agents.evaluation import EvaluateArgs, evaluate
 from agents.evaluation import evaluate as evaluation
-from agents.evaluation.evaluate import EvaluateArgs, evaluate
 from agents.evaluation.follow import evaluation_sim, follow
 from agents.evaluation.rollout import env_config, roll_out
 from agents.loading import load_agent
@@ -180,9 +180,7 @@ def test_command_prints_the_table_and_writes_the_report(library, tmp_path, capsy
     assert (out / "clips.csv").exists()
 
 
-@pytest.mark.parametrize(
-    "words", [["--height", "1.45"], ["--height", "1.9", "--avatar-height", "1.45"]]
-)
+@pytest.mark.parametrize("words", [["--height", "1.45"], ["--avatar-height", "1.45"]])
 def test_heights_of_the_command_line_are_those_of_avatar_and_clips(
     words, clips, library, tmp_path, capsys
 ):
@@ -200,6 +198,11 @@ def test_heights_of_the_command_line_are_those_of_avatar_and_clips(
     error = metrics["all"]["mpjpe_cm"]
     assert error == pytest.approx(small["all"]["mpjpe_cm"], rel=1e-3)
     assert abs(error - own["all"]["mpjpe_cm"]) > 0.1
+
+
+def test_two_heights_are_refused_since_one_would_do_nothing(library):
+    with pytest.raises(InputError, match="--height: does not go with --avatar-height"):
+        evaluate(EvaluateArgs("zero", str(library), height=1.9, avatar_height=1.45))
 
 
 def test_command_without_folder_writes_nothing(library, tmp_path, monkeypatch, capsys):

@@ -10,23 +10,24 @@ import pytest
 import torch
 
 from agents import precision
-from agents.evaluation.evaluate import EvaluateArgs, evaluate
+from agents.comparison.compare import CompareArgs, compare
 from agents.kinematic import load_system
 from agents.kinematic.data import MotionBank, motions_record
 from agents.kinematic.fit import Fit
 from agents.kinematic.interface import UserBody
 from agents.kinematic.learning import rate_at
+from agents.kinematic.options import TrainSystemArgs
 from agents.kinematic.recurrent.features import HEAD
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.sparseposer.poser import SparsePoserModule
 from agents.kinematic.sparseposer.training import measure_normalisers
 from agents.kinematic.store import find_system, load_module, read_system_card, save_system
+from agents.kinematic.training import train_system
 from agents.run_folder import read_run
 from agents.shipping.ship import ShipArgs, ship
 from agents.shipping.system_card import system_provenance
 from agents.training.monitor import Display
 from agents.training.stage import Budget, Stopper
-from agents.training.train_policy import TrainArgs, train
 from questsim.errors import InputError
 from questsim.joint_sensors import readings
 from questsim.motion.library import save_library
@@ -53,7 +54,7 @@ def save_library_of(motion, path):
 
 def arguments(agent, library, out, **more):
     options = {"preset": "smoke", "threads": 1, "steps": STEPS} | more
-    return TrainArgs(out=out, agent=agent, motions=library, **options)
+    return TrainSystemArgs(out=out, agent=agent, motions=library, **options)
 
 
 def history(out, agent):
@@ -66,7 +67,7 @@ def history(out, agent):
 @pytest.mark.parametrize("agent", AGENTS)
 def test_a_tiny_training_lowers_its_error_and_gives_a_system_that_runs(agent, library, tmp_path):
     out = tmp_path / "run"
-    assert train(arguments(agent, library, out)) == 0
+    assert train_system(arguments(agent, library, out)) == 0
     errors = history(out, agent)
     assert errors[-1] < 0.95 * errors[0]
     assert read_run(out)["args"]["agent"] == agent
@@ -126,23 +127,21 @@ def test_a_resumed_training_ends_with_the_bits_of_one_in_one_piece(agent, stage,
 
 def test_a_run_is_neither_overwritten_nor_resumed_with_other_options(library, tmp_path):
     out = tmp_path / "run"
-    train(arguments("lgsik", library, out, steps=2))
+    train_system(arguments("lgsik", library, out, steps=2))
     with pytest.raises(InputError, match="holds a run already"):
-        train(arguments("lgsik", library, out, steps=2))
+        train_system(arguments("lgsik", library, out, steps=2))
     with pytest.raises(InputError, match="--agent was lgsik, not hmdposer"):
-        train(arguments("hmdposer", library, out, steps=2, resume=True))
-    assert train(arguments("lgsik", library, out, steps=4, resume=True)) == 0
+        train_system(arguments("hmdposer", library, out, steps=2, resume=True))
+    assert train_system(arguments("lgsik", library, out, steps=4, resume=True)) == 0
     assert len(read_run(out)["resumed"]) == 1
 
 
-def test_options_of_torque_policies_are_refused_and_leave_no_run(library, tmp_path):
-    with pytest.raises(InputError, match="--sensors: is for torque policies, not lgsik"):
-        train(arguments("lgsik", library, tmp_path / "run", sensors="H"))
+def test_motions_that_are_too_short_are_refused_and_leave_no_run(library, tmp_path):
     with pytest.raises(InputError, match="no motion has 129 frames"):
         short = tmp_path / "short.npz"
         save_library(short, [to_motion(swaying_clip(frames=30))], [])
         args = arguments("dragposer", str(short), tmp_path / "run")
-        train(replace(args, set=("stages.vae.window=129",)))
+        train_system(replace(args, set=("stages.vae.window=129",)))
     assert not (tmp_path / "run" / "run.yaml").exists()
 
 
@@ -150,13 +149,15 @@ def test_a_training_starts_with_the_weights_of_an_earlier_one_and_its_card_tells
     library, tmp_path
 ):
     first, second = tmp_path / "first", tmp_path / "second"
-    train(arguments("lgsik", library, first, seed=4))
-    train(arguments("lgsik", library, second, steps=2, start=first))
+    train_system(arguments("lgsik", library, first, seed=4))
+    train_system(arguments("lgsik", library, second, steps=2, start=first))
     assert history(second, "lgsik")[0] == min(history(first, "lgsik"))
     assert load_module(second / "network" / "best")[1]["training"]["start"] == str(first)
     other = save_library_of(replace(MOTION, licence="CC-BY-NC-4.0"), tmp_path / "other.npz")
-    train(arguments("lgsik", other, tmp_path / "third", steps=3, start=second))
-    train(arguments("lgsik", library, tmp_path / "fourth", steps=5, start=tmp_path / "third"))
+    train_system(arguments("lgsik", other, tmp_path / "third", steps=3, start=second))
+    train_system(
+        arguments("lgsik", library, tmp_path / "fourth", steps=5, start=tmp_path / "third")
+    )
     ship(ShipArgs(tmp_path / "fourth", "mine", into=tmp_path / "weights"))
     told = load_module(tmp_path / "weights" / "mine")[1]["training"]
     assert [stage["steps"] for stage in told["stages"]] == [STEPS, 2, 3, 5]
@@ -170,7 +171,7 @@ def test_a_training_starts_with_the_weights_of_an_earlier_one_and_its_card_tells
 @pytest.mark.parametrize(
     ("agent", "options", "message"),
     [
-        ("lgsik", {"start": Path("gone")}, "gone is no kinematic system"),
+        ("lgsik", {"start": Path("gone")}, "gone: is no kinematic system"),
         ("hmdposer", {}, "is of lgsik, not of hmdposer"),
         ("lgsik", {"set": ("spec.size=24",)}, "is of other sizes; use its --preset and --set"),
         ("lgsik", {"set": ("spec.graph=false",)}, "is of other sizes"),
@@ -183,7 +184,7 @@ def test_a_start_that_does_not_fit_is_refused_and_leaves_no_run(
     save_system(tmp_path / "start", AGENTS["lgsik"].build(config.spec), "lgsik", config.spec, {})
     options = {"start": tmp_path / "start"} | options
     with pytest.raises(InputError, match=message):
-        train(arguments(agent, library, tmp_path / "run", **options))
+        train_system(arguments(agent, library, tmp_path / "run", **options))
     assert not (tmp_path / "run").exists()
 
 
@@ -207,9 +208,9 @@ def shipped(tmp_path_factory):
     """A tiny SparsePoser in ``run``, compared in ``scores`` and shipped to ``weights/feet``."""
     folder = tmp_path_factory.mktemp("shipped")
     motions = save_library_of(MOTION, folder / "motions.npz")
-    train(arguments("sparseposer", motions, folder / "run", steps=2, seed=3))
+    train_system(arguments("sparseposer", motions, folder / "run", steps=2, seed=3))
     agents, scores = (str(folder / "run"),), folder / "scores"
-    evaluate(EvaluateArgs(compare=True, agents=agents, motions=motions, out=scores, threads=1))
+    compare(CompareArgs(agents=agents, motions=motions, out=scores, threads=1))
     report = scores / "comparison.json"
     args = ShipArgs(folder / "run", "feet", metrics=(report,), into=folder / "weights")
     assert ship(args) == 0
@@ -217,7 +218,7 @@ def shipped(tmp_path_factory):
 
 
 def test_a_shipped_system_loads_by_name_and_answers_as_the_run_does(shipped, monkeypatch):
-    monkeypatch.setattr("agents.kinematic.store.SHIPPED", shipped / "weights")
+    monkeypatch.setattr("agents.resolve.SHIPPED", shipped / "weights")
     body, seen = UserBody.of(MOTION), readings(MOTION.resampled(60.0), SENSOR_SETS["6T"])
     a, b = (load_system(name).predict(seen, body) for name in ("feet", shipped / "run"))
     assert np.array_equal(a.rotations, b.rotations)
@@ -231,9 +232,9 @@ def test_a_run_records_what_its_shipped_start_was_and_its_card_tells_that(
 ):
     weights = tmp_path / "weights"
     shutil.copytree(shipped / "weights", weights)
-    monkeypatch.setattr("agents.kinematic.store.SHIPPED", weights)
+    monkeypatch.setattr("agents.resolve.SHIPPED", weights)
     motions = str(shipped / "motions.npz")
-    train(arguments("sparseposer", motions, tmp_path / "run", steps=2, start=Path("feet")))
+    train_system(arguments("sparseposer", motions, tmp_path / "run", steps=2, start=Path("feet")))
     was = read_system_card(weights / "feet")["training"]
     assert read_run(tmp_path / "run")["behind"] == {"start": was}
     shutil.rmtree(weights / "feet")
@@ -260,7 +261,7 @@ def test_the_card_of_a_system_tells_data_licence_command_seed_time_and_figures(s
 def test_a_system_is_not_shipped_with_figures_of_another_or_without_licence(shipped, tmp_path):
     motions = save_library_of(replace(MOTION, licence=""), tmp_path / "motions.npz")
     out = tmp_path / "run"
-    train(arguments("lgsik", motions, out, steps=2))
+    train_system(arguments("lgsik", motions, out, steps=2))
     report = shipped / "scores" / "comparison.json"
     with pytest.raises(InputError, match="does not have this system"):
         ship(ShipArgs(out, "mine", metrics=(report,), into=tmp_path))
@@ -368,4 +369,4 @@ def test_lgsiks_published_rate_falls_as_pytorchs_plateau_scheduler_does():
 def test_an_unknown_schedule_is_refused(library, tmp_path):
     args = arguments("lgsik", library, tmp_path / "run", set=("stages.network.schedule=stairs",))
     with pytest.raises(InputError, match="there is no schedule 'stairs'"):
-        train(args)
+        train_system(args)

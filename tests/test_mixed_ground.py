@@ -13,14 +13,15 @@ import yaml
 from helpers import swaying_clip
 from test_terrain import gliding_clip
 
-from agents.evaluation.evaluate import EvaluateArgs, evaluate
+from agents.evaluation import EvaluateArgs, evaluate
 from agents.loading import load_agent
 from agents.policy.checkpoint import load_resume
 from agents.policy.policy_agent import PolicyAgent
 from agents.shipping.provenance import commands, options_of, stages_behind
 from agents.shipping.ship import ShipArgs, ship
 from agents.training import train as training
-from agents.training.train_policy import TrainArgs, train
+from agents.training.options import TrainArgs
+from agents.training.train_policy import train
 from envs import BatchSim, EnvConfig, Pushes, Randomisation, Terrain
 from envs.objects import WorldObject
 from envs.placement import Placement
@@ -117,7 +118,7 @@ def test_a_teacher_begun_with_a_shipped_one_is_not_mistaken_for_it(
     clips, tmp_path, monkeypatch
 ) -> None:
     weights = tmp_path / "weights"
-    monkeypatch.setattr("agents.policy.checkpoint.SHIPPED", weights)
+    monkeypatch.setattr("agents.resolve.SHIPPED", weights)
     train(tiny(tmp_path / "a", stage="teacher"))
     ship(ShipArgs(tmp_path / "a", "tracker", into=weights))
     monkeypatch.chdir(tmp_path)

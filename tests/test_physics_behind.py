@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agents.evaluation.evaluate import EvaluateArgs, evaluate
+from agents.comparison.compare import CompareArgs, compare
+from agents.evaluation import EvaluateArgs, evaluate
 from agents.evaluation.follow import evaluation_sim
 from agents.evaluation.rollout import env_config
 from agents.kinematic.interface import Poses
@@ -121,8 +122,8 @@ def test_a_comparison_has_the_system_without_and_with_physics_and_the_policy(tmp
     motions, out = tmp_path / "motions.npz", tmp_path / "scores"
     save_library(motions, [to_motion(CLIP)], [])
     agents = ("ik", "ik+physics", "demo")
-    args = EvaluateArgs(compare=True, agents=agents, motions=str(motions), out=out, threads=1)
-    assert evaluate(args) == 0
+    args = CompareArgs(agents=agents, motions=str(motions), out=out, threads=1)
+    assert compare(args) == 0
     rows = json.loads((out / "comparison.json").read_text())["rows"][1:]
     found = [(row["agent"], row["scenario"]) for row in rows]
     assert found == [

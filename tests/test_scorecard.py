@@ -9,9 +9,9 @@ import torch
 from helpers import swaying_clip
 
 from agents.agent import Needs
-from agents.evaluation.evaluate import EvaluateArgs, evaluate
+from agents.commands.evaluate import evaluate_scorecard
+from agents.evaluation.options import ScorecardArgs
 from agents.evaluation.scorecard import BARS, TRIALS, Bar, figure, format_scorecard, scorecard
-from agents.policy import checkpoint
 from agents.policy.checkpoint import save_policy
 from agents.policy.policy_agent import new_policy
 from agents.policy.spec import SPARSE_BLOCKS, Layout, PolicySpec
@@ -34,7 +34,7 @@ def library(tmp_path, monkeypatch):
         policy = new_policy(PolicySpec(critic_blocks=(), hidden=(8,)), layout)
         needs = Needs(sensors=sensors, future_frames=frames)
         save_policy(tmp_path / "weights" / name, policy, needs, {})
-    monkeypatch.setattr(checkpoint, "SHIPPED", tmp_path / "weights")
+    monkeypatch.setattr("agents.resolve.SHIPPED", tmp_path / "weights")
     clips = [swaying_clip(name, frames=20, height_m=1.7) for name in ("a", "b")]
     path = tmp_path / "two.npz"
     save_library(path, [to_motion(clip) for clip in clips], clips)
@@ -80,7 +80,7 @@ def test_a_bar_is_reached_from_its_good_side_only():
 
 
 def test_a_missing_variant_is_named_before_anything_runs(library, tmp_path, monkeypatch):
-    args = EvaluateArgs("zero-none", motions=str(library), out=tmp_path / "o", scorecard=True)
+    args = ScorecardArgs(agent="zero-none", motions=str(library), out=tmp_path / "o")
     with pytest.raises(InputError, match="zero-none"):
-        evaluate(args)
+        evaluate_scorecard(args)
     assert not (tmp_path / "o").exists()

@@ -14,7 +14,6 @@ from rollouts import moving_clip, rollout
 from agents.agent import Needs
 from agents.kinematic.store import load_system, read_system_card
 from agents.licence import licence_of, strictest
-from agents.policy import checkpoint
 from agents.policy.checkpoint import CARD_FILE, CRITIC_FILE, load_policy, save_policy
 from agents.policy.policy_agent import PolicyAgent, Tracker, new_policy
 from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
@@ -22,8 +21,8 @@ from agents.run_folder import start_run
 from agents.shipping import ship as shipping
 from agents.shipping.provenance import StagePart, _joined
 from agents.shipping.ship import ShipArgs, check_name, ship
+from agents.training.options import TrainArgs
 from agents.training.presets import PRESETS
-from agents.training.train_policy import TrainArgs
 from envs.config import EnvConfig
 from envs.layout import observation_layout
 from questsim import cli
@@ -98,7 +97,7 @@ def test_best_policy_is_copied_and_loads_by_name(run, tmp_path, monkeypatch):
     assert {path.name for path in (shipped / "walker").iterdir()} == {
         "README.md", "policy.safetensors", "policy.yaml",
     }  # fmt: skip
-    monkeypatch.setattr("agents.policy.checkpoint.SHIPPED", shipped)
+    monkeypatch.setattr("agents.resolve.SHIPPED", shipped)
     from agents.loading import load_agent
 
     agent, trained = load_agent("walker"), load_policy(run / "student" / "best")
@@ -203,7 +202,7 @@ def test_student_of_another_runs_teacher_has_both_licences_and_commands(run, tmp
 def test_student_of_a_shipped_teacher_repeats_how_that_was_trained(run, tmp_path, monkeypatch):
     weights = tmp_path / "weights"
     ship(ShipArgs(run / "teacher", "tracker", into=weights))
-    monkeypatch.setattr(checkpoint, "SHIPPED", weights)
+    monkeypatch.setattr("agents.resolve.SHIPPED", weights)
     record = data()
     other = new_run(tmp_path / "headset", record, stage="student", teacher="tracker", sensors="H")
     add_stage(other, "student", record, 1_000_000, 20.0, sensors="H")

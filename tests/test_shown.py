@@ -16,8 +16,9 @@ from agents.policy.policy_agent import Tracker
 from agents.shipping.provenance import commands, stages_behind
 from agents.training import train as training
 from agents.training.dagger import Dagger
+from agents.training.options import TrainArgs
 from agents.training.ppo import AdaptivePPO
-from agents.training.train_policy import TrainArgs, train
+from agents.training.train_policy import train
 from envs import BatchSim, EnvConfig, QuestVecEnv, Terrain
 from questsim.errors import InputError
 from questsim.motion.clip import Clip

@@ -8,7 +8,8 @@ from dataclasses import replace
 from agents.evaluation.follow import choose_clips, evaluation_sim, follow
 from agents.evaluation.rollout import env_config
 from agents.loading import load_agent
-from agents.training.train_policy import TrainArgs, train
+from agents.training.options import TrainArgs
+from agents.training.train_policy import train
 from questsim.motion.spec import load_motions
 
 

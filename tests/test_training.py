@@ -24,9 +24,10 @@ from agents.shipping.provenance import stages_behind
 from agents.training import train as training
 from agents.training.learner import TrainingError
 from agents.training.monitor import Display, evaluation_figures
+from agents.training.options import TrainArgs
 from agents.training.presets import PRESETS, PPOConfig
 from agents.training.stage import Budget, Stage, Stopper
-from agents.training.train_policy import TrainArgs, split_validation, train
+from agents.training.train_policy import split_validation, train
 from questsim.errors import InputError
 
 

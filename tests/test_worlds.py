@@ -13,12 +13,14 @@ from test_bad_input import assert_refused, questsim
 from test_terrain import gliding_clip
 
 from agents.agent import ZeroAgent
+from agents.commands.evaluate import evaluate_worlds
 from agents.evaluation import worlds
-from agents.evaluation.evaluate import EvaluateArgs, evaluate
 from agents.evaluation.follow import evaluation_sim
+from agents.evaluation.options import WorldsArgs
 from agents.evaluation.rollout import env_config, roll_out
 from agents.evaluation.worlds import WORLDS, format_worlds, group_of, run_worlds
-from agents.training.train_policy import TrainArgs, _outcome, train
+from agents.training.options import TrainArgs
+from agents.training.train_policy import _outcome, train
 from envs.terrain import TERRAINS, Terrain, height_field
 from questsim.cli import main
 from questsim.errors import InputError
@@ -125,28 +127,12 @@ def library(tmp_path_factory) -> Path:
 
 def test_the_command_writes_the_table(library, tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.setattr(worlds, "WORLDS", WORLDS[:2])
-    args = EvaluateArgs("zero", str(library), worlds=True, out=tmp_path / "w", max_clips=2)
-    assert evaluate(args) == 0
+    args = WorldsArgs(agent="zero", motions=str(library), out=tmp_path / "w", max_clips=2)
+    assert evaluate_worlds(args) == 0
     written = json.loads((tmp_path / "w" / "worlds.json").read_text())
     assert [row["name"] for row in written["rows"]] == ["flat", "rough_4cm"]
     assert written["schema"] == "questsim-worlds" and written["context"]["agent"] == "zero"
     assert "rough ground" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"out": None}, "needs a folder"),
-        ({"height": 1.8}, "--height: does not go"),
-        ({"terrain": "rough"}, "--terrain: does not go"),
-        ({"objects": ("ball",)}, "--objects: does not go"),
-        ({"video": True}, "--video: does not go"),
-    ],
-)
-def test_the_table_refuses_what_it_sets_itself(options: dict, message: str, tmp_path) -> None:
-    options = {"out": tmp_path / "w", **options}
-    with pytest.raises(InputError, match=message):
-        evaluate(EvaluateArgs("zero", worlds=True, **options))
 
 
 def test_the_table_needs_a_walk_long_enough() -> None:

@@ -12,22 +12,23 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import torch
 
 from agents.comparison.ablation_report import Result, table, write
-from agents.comparison.compare import chosen
+from agents.comparison.compare import at_sensor_rate
 from agents.comparison.report import Row
 from agents.comparison.run import run
 from agents.comparison.scenarios import scenarios
 from agents.kinematic.data import motions_record
 from agents.kinematic.learning import Config
+from agents.kinematic.options import TrainSystemArgs
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import CARD_FILE, load_system, read_system_card
+from agents.kinematic.training import train_system
 from agents.overrides import with_overrides
 from agents.run_folder import RECORD, check_same_run, read_run, refuse_existing, start_run, versions
-from agents.training.train_policy import TrainArgs, train
 from questsim.errors import InputError, at_least
 from questsim.files import whole_file
 from questsim.motion.motion import Motion
@@ -171,7 +172,7 @@ def ablations(args: AblationsArgs) -> int:
     from questsim.motion.spec import load_recordings
 
     out, variants = _checked(args)
-    motions = chosen(load_recordings(args.test, seed=args.seed), args.max_clips)
+    motions = at_sensor_rate(load_recordings(args.test, seed=args.seed), args.max_clips)
     data = motions_record(args.test, motions)
     there = out.exists()
     if args.resume:
@@ -249,10 +250,10 @@ def _config(args: AblationsArgs, variant: Variant) -> Config:
 
 def _train(args: AblationsArgs, variant: Variant, folder: Path) -> int:
     print(f"{variant.name}: {variant.what}")
-    return train(
-        TrainArgs(
+    return train_system(
+        TrainSystemArgs(
             out=folder,
-            agent=cast(Any, args.agent),
+            agent=args.agent,
             motions=args.motions,
             preset=args.preset,
             minutes=args.minutes,

@@ -8,29 +8,34 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from agents.comparison.plots import plot_accuracy, plot_plausibility
 from agents.comparison.report import COSTS, TABLES, table, write
 from agents.comparison.run import (
     devices_named,
-    is_policy,
     rows_of,
     run_recording,
     suiting,
     workers,
 )
 from agents.comparison.scenarios import Scenario
+from agents.evaluation.follow import choose_clips
 from agents.kinematic.data import motions_record
-from agents.kinematic.physics_behind import base_of
 from agents.kinematic.registry import AGENTS
-from agents.kinematic.store import UNTRAINED, find_system, read_system_card
 from agents.loading import load_agent
-from agents.names import PHYSICS, shipped_policies
-from agents.policy.checkpoint import find_policy, read_card
+from agents.resolve import (
+    DEFAULT_POLICY,
+    DEFAULT_SYSTEM,
+    PHYSICS,
+    SYNTHETIC_POLICY,
+    UNTRAINED,
+    resolve,
+    shipped_policies,
+    shipped_systems,
+    with_physics,
+)
 from agents.run_folder import versions
 from questsim.errors import InputError, at_least
 from questsim.files import whole_file
@@ -42,29 +47,33 @@ FILES: tuple[str, ...] = ("comparison.json", "comparison.csv", "comparison.md", 
 """What a comparison writes; ``comparison_film.FILES`` too where it is filmed."""
 
 
-def compare(
-    agents: Sequence[str],
-    motions: str,
-    out: Path | None,
-    max_clips: int | None,
-    threads: int,
-    seed: int,
-    sensors: str | None = None,
-    video: bool = False,
-    video_clips: Sequence[str] = (),
-) -> int:
-    """Run the comparison and write its table and figures; returns the exit code.
+@dataclass(frozen=True, kw_only=True)
+class CompareArgs:
+    """Compare kinematic systems and policies on the same frames."""
 
-    Args:
-        agents: systems: names, checkpoint folders or run folders; none means all that are shipped.
-        motions: what to reconstruct.
-        out: the folder for ``FILES``.
-        max_clips: at most so many, of all kinds.
-        threads: that compute side by side.
-        seed: of faults and synthetic motions.
-        sensors: only with these, a set by name; by default with all that an agent can use.
-        video: whether to film it too.
-        video_clips: names of the clips to film, of all motions; see ``comparison_film``.
+    agents: tuple[str, ...] = ()
+    """All that --agent takes: names, checkpoint and run folders, classes of your own, systems
+    with +physics after the name. By default what is shipped."""
+    motions: str = "synthetic"
+    """What to reconstruct: synthetic, a dataset, a library, file or folder."""
+    sensors: str | None = None
+    """Only with this set of sensors, e.g. H+2C or 6T; by default with all that an agent can use."""
+    out: Path
+    """Folder for tables, figures and the film."""
+    video: bool = False
+    """Also write a film of all agents side by side."""
+    video_clips: tuple[str, ...] = ()
+    """Names of the clips that the film shows; by default some of different kinds."""
+    max_clips: int | None = None
+    """Reconstruct only this many motions, of all kinds."""
+    threads: int = 2
+    """Processes side by side."""
+    seed: int = 0
+    """Of faults and of the embedded motions."""
+
+
+def compare(args: CompareArgs) -> int:
+    """Run the comparison and write its tables and figures; returns the exit code.
 
     Raises:
         InputError: nothing to compare, or what cannot be used.
@@ -72,31 +81,31 @@ def compare(
     from questsim.evaluation_report import check_writable
     from questsim.motion.spec import load_recordings
 
-    at_least(1, threads=threads, max_clips=max_clips)
-    at_least(0, seed=seed)
-    if out is None:
-        raise InputError("a comparison needs a folder", "--compare", "add --out DIR")
-    planned = plan(agents, sensors)
+    at_least(1, threads=args.threads, max_clips=args.max_clips)
+    at_least(0, seed=args.seed)
+    if args.video_clips and not args.video:
+        raise InputError("there is no video to show them", "--video-clips", "add --video")
+    planned, out = plan(args.agents, args.sensors), args.out
     check_writable(out)
-    everything = load_recordings(motions, seed=seed)
-    recordings = chosen(everything, max_clips)
+    everything = load_recordings(args.motions, seed=args.seed)
+    recordings = at_sensor_rate(everything, args.max_clips)
     filmed: Sequence[Motion] = ()
-    if video:
+    if args.video:
         from agents.comparison.film import to_be_filmed
 
-        filmed = to_be_filmed(everything if video_clips else recordings, video_clips)
-    with workers(threads) as mapper:
+        filmed = to_be_filmed(everything if args.video_clips else recordings, args.video_clips)
+    with workers(args.threads) as mapper:
         rows = [run_recording(recordings, mapper)]
         for agent, scenarios in planned.items():
-            for row in rows_of(agent, scenarios, recordings, seed, threads, mapper):
+            for row in rows_of(agent, scenarios, recordings, args.seed, args.threads, mapper):
                 print(f"{agent}: {row.scenario}", file=sys.stderr, flush=True)
                 rows.append(row)
     context = {
-        "agents": {agent: _training(agent) for agent in planned},
-        "data": motions_record(motions, recordings),
+        "agents": {agent: resolve(agent).training for agent in planned},
+        "data": motions_record(args.motions, recordings),
         "versions": versions(),
-        "threads": threads,
-        "seed": seed,
+        "threads": args.threads,
+        "seed": args.seed,
     }
     write(rows, context, out)
     for name, plot in FIGURES.items():
@@ -108,7 +117,7 @@ def compare(
     if filmed:
         from agents.comparison.film import film
 
-        film(agents or representative(planned), filmed, out, threads)
+        film(args.agents or representative(planned), filmed, out, args.threads)
     return 0
 
 
@@ -133,16 +142,18 @@ def plan(agents: Sequence[str], sensors: str | None) -> dict[str, list[Scenario]
 def everyone() -> list[str]:
     """All that can be compared without training: systems, these with physics, and policies.
 
-    Without policies that are told the full-body reference, and without ``demo``, which knows the
+    Without policies that observe the full-body reference, and without the one that has learnt the
     embedded motions alone.
     """
-    systems = [*UNTRAINED, *(name for name in AGENTS if find_system(name) is not None)]
+    families = [*UNTRAINED, *AGENTS]  # the order of tables
+    others = [name for name in shipped_systems() if name not in families]
+    systems = [*(name for name in families if name in shipped_systems()), *others]
     apart = [
         name
         for name in shipped_policies()
-        if name != "demo" and not load_agent(name).needs.privileged
+        if name != SYNTHETIC_POLICY and not load_agent(name).needs.privileged
     ]
-    return [*systems, *(name + PHYSICS for name in systems), *apart]
+    return [*systems, *with_physics(systems), *apart]
 
 
 def representative(agents: Iterable[str]) -> list[str]:
@@ -150,23 +161,11 @@ def representative(agents: Iterable[str]) -> list[str]:
     return [
         agent
         for agent in agents
-        if agent in ("hmdposer" + PHYSICS, "questsim")
-        or not (is_policy(agent) or base_of(agent) is not None)
+        if agent in (DEFAULT_SYSTEM + PHYSICS, DEFAULT_POLICY) or resolve(agent).kind == "system"
     ]
 
 
-def chosen(motions: Sequence[Motion], count: int | None) -> list[Motion]:
-    """A fixed subset at 60 Hz, all kinds of motion in proportion, as ``rolling.choose_clips``."""
-    ordered = sorted(motions, key=lambda m: (m.kind, m.style, m.name))
-    ordered = [motion.resampled(SENSOR_FPS) for motion in ordered]
-    if count is None:
-        return ordered
-    picks = np.unique(np.linspace(0, len(ordered) - 1, min(count, len(ordered))).astype(int))
-    return [ordered[i] for i in picks]
-
-
-def _training(agent: str) -> dict[str, Any]:
-    if is_policy(agent):
-        return read_card(find_policy(agent)).get("training", {})
-    folder = find_system(base_of(agent) or agent)
-    return {} if folder is None else read_system_card(folder)["training"]
+def at_sensor_rate(motions: Sequence[Motion], count: int | None = None) -> list[Motion]:
+    """Motions at 60 Hz, in a fixed order; at most so many, all kinds in proportion."""
+    subset = choose_clips(motions, len(motions) if count is None else count)
+    return [motion.resampled(SENSOR_FPS) for motion in subset]

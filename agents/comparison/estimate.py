@@ -8,11 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from agents.comparison.compare import chosen
+from agents.comparison.compare import at_sensor_rate
 from agents.comparison.run import Job, devices_named, reconstructed, workers
 from agents.comparison.scenarios import scenarios
 from agents.kinematic.physics_behind import on_own_body
 from agents.kinematic.store import load_system
+from agents.resolve import DEFAULT_SYSTEM
 from questsim.errors import InputError, at_least
 from questsim.motion.clip import Clip
 from questsim.motion.library import save_library
@@ -28,7 +29,7 @@ class EstimateArgs:
 
     out: Path
     """The library to write, an .npz file."""
-    agent: str = "hmdposer"
+    agent: str = DEFAULT_SYSTEM
     """The system: a name, checkpoint folder or run folder."""
     motions: str = "synthetic"
     """What the devices report: synthetic, a dataset, a library, file or folder."""
@@ -56,7 +57,7 @@ def estimate(args: EstimateArgs) -> None:
     if not suited:
         raise InputError(f"{args.agent} is not used with {args.sensors}", "--sensors")
     check_library_path(args.out)
-    motions = chosen(load_recordings(args.motions, seed=args.seed), args.max_clips)
+    motions = at_sensor_rate(load_recordings(args.motions, seed=args.seed), args.max_clips)
     jobs = [(args.agent, suited[0], motion, 0) for motion in motions]
     with workers(args.threads) as mapper:
         done = list(mapper(_estimated, jobs))

@@ -17,25 +17,22 @@ import numpy as np
 from PIL import Image
 
 from agents.comparison.plots import KINDS
-from agents.comparison.run import is_policy, reconstructed, suiting
+from agents.comparison.run import reconstructed, suiting
 from agents.comparison.scenarios import Scenario
 from agents.evaluation.rollout import env_config, roll_out
-from agents.kinematic.interface import Poses
 from agents.kinematic.physics_behind import (
-    base_of,
     follow_poses,
-    on_own_body,
     performed,
     reference_of,
 )
+from agents.kinematic.without_physics import over_users_floor
 from agents.loading import load_agent
+from agents.resolve import base_of, resolve
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.files import whole_file
 from questsim.joint_sensors import SENSOR_FPS
 from questsim.metrics_terms import mpjpe_cm
-from questsim.motion.checks import stature
 from questsim.motion.clip import FPS, Clip
-from questsim.motion.footing import measure_footing
 from questsim.motion.motion import Motion
 from questsim.motion.retarget import to_clip
 from questsim.plots import GREEN
@@ -171,7 +168,7 @@ def _user(motion: Motion) -> FilmFigure:
 def parts_of(agent: str, motions: Sequence[Motion], threads: int) -> list[FilmFigure]:
     """What an agent does in each of the motions, in one scenario: see ``_shown``."""
     kinematic, physics, policy = KINDS
-    if is_policy(agent):
+    if resolve(agent).torques:
         loaded = load_agent(agent)
         clips = [to_clip(motion) for motion in motions]
         rollouts = roll_out(loaded, clips, env_config(loaded), threads)
@@ -184,15 +181,6 @@ def parts_of(agent: str, motions: Sequence[Motion], threads: int) -> list[FilmFi
         return [FilmFigure(agent, told, kinematic, over_users_floor(p, m)) for p, m in pairs]
     rollouts = follow_poses([reference_of(p, m) for p, m in pairs], motions, threads)
     return [FilmFigure(agent, told, physics, performed(rollout)) for rollout in rollouts]
-
-
-def over_users_floor(poses: Poses, motion: Motion) -> Clip:
-    """Poses on the avatar over the floor that the user stands on, which the user's motion tells.
-
-    Retargeting puts the floor where a motion's soles are, so an estimate that floats would stand.
-    """
-    estimate = on_own_body(poses, motion)
-    return to_clip(estimate, measure_footing(motion, round(stature(estimate), 3)))
 
 
 def _shown(found: Sequence[Scenario]) -> Scenario:

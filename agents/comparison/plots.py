@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
 from agents.comparison.report import RECORDING, Row
+from agents.resolve import base_of
 from questsim.plots import BLUE, GREEN, GREY, ORANGE, figure_file
 
 KINDS: dict[str, str] = {"kinematic": GREY, "with physics behind it": ORANGE, "policy": BLUE}
@@ -32,7 +33,7 @@ def kind_of(row: Row) -> str:
     """Which of ``KINDS`` a row is; only what was simulated has a success."""
     if row.pooled.get("success_percent") is None:
         return "kinematic"
-    return "with physics behind it" if row.agent.endswith("+physics") else "policy"
+    return "with physics behind it" if base_of(row.agent) is not None else "policy"
 
 
 def plot_accuracy(rows: Sequence[Row], path: Path) -> None:

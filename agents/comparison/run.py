@@ -22,15 +22,15 @@ from agents.kinematic.interface import KinematicSystem, Poses, UserBody
 from agents.kinematic.physics_behind import (
     TRACKER,
     avatar_samples,
-    base_of,
     follow_poses,
     reference_of,
     rollout_samples,
 )
 from agents.kinematic.recurrent.poser import RecurrentPoser
-from agents.kinematic.store import UNTRAINED, find_system, load_system
+from agents.kinematic.store import load_system
 from agents.loading import load_agent
-from agents.policy.checkpoint import find_policy, load_policy
+from agents.policy.policy_agent import PolicyAgent
+from agents.resolve import base_of, resolve
 from questsim.errors import InputError
 from questsim.joint_sensors import SensorSequence, readings
 from questsim.motion.clip import Clip
@@ -73,17 +73,6 @@ def workers(count: int) -> Iterator[Mapper]:
         yield pool.map
 
 
-def is_policy(agent: str) -> bool:
-    """Whether a name or folder is a torque policy's."""
-    if agent in UNTRAINED or find_system(agent) is not None:
-        return False
-    try:
-        find_policy(agent)
-    except InputError:
-        return False
-    return True
-
-
 def devices_named(sensors: str | None) -> tuple[str, ...] | None:
     """The devices of ``--sensors``; None where it is not given.
 
@@ -102,9 +91,9 @@ def suiting(agent: str, devices: Sequence[str] | None) -> list[Scenario]:
     """What an agent can be run in; only what is of just these devices, if any are named.
 
     Raises:
-        InputError: it is no kinematic system, with or without physics, and no policy.
+        InputError: there is no such agent.
     """
-    if is_policy(agent):
+    if resolve(agent).torques:
         sensors = load_agent(agent).needs.sensors
         name = {key: name for name, key in RECURRENT_SETS.items()}.get(sensors, sensors)
         found: Sequence[Scenario] = [Scenario(name, SENSOR_SETS[sensors])]
@@ -125,7 +114,7 @@ def rows_of(
     mapper: Mapper,
 ) -> Iterator[Row]:
     """All rows of one agent: a system, one with physics behind it, or a torque policy."""
-    if is_policy(agent):
+    if resolve(agent).torques:
         yield run_policy(agent, chosen[0], motions, threads)
         return
     for scenario in chosen:
@@ -272,4 +261,7 @@ def run_policy(agent: str, scenario: Scenario, motions: Sequence[Motion], thread
 
 
 def _policy_size(agent: str) -> int:
-    return sum(p.numel() for p in load_policy(find_policy(agent)).policy.parameters())
+    loaded = load_agent(agent)
+    if not isinstance(loaded, PolicyAgent):
+        return 0
+    return sum(p.numel() for p in loaded.policy.parameters())

@@ -7,17 +7,20 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from agents.evaluation.evaluate import EvaluateArgs, evaluate
+    from agents.commands.evaluate import evaluate
+    from agents.evaluation.options import EvaluateArgs
+    from agents.evaluation.report import evaluation_context
     from agents.evaluation.rollout import Recorder, env_config, roll_out
 
 _HOMES = {
-    "EvaluateArgs": "agents.evaluation.evaluate",
-    "evaluate": "agents.evaluation.evaluate",
+    "EvaluateArgs": "agents.evaluation.options",
+    "evaluate": "agents.commands.evaluate",
     "Recorder": "agents.evaluation.rollout",
+    "evaluation_context": "agents.evaluation.report",
     "env_config": "agents.evaluation.rollout",
     "roll_out": "agents.evaluation.rollout",
 }
-__all__ = ["EvaluateArgs", "Recorder", "env_config", "evaluate", "roll_out"]
+__all__ = ["EvaluateArgs", "Recorder", "env_config", "evaluate", "evaluation_context", "roll_out"]
 
 
 def __getattr__(name: str) -> Any:

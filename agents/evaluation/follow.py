@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from agents.agent import Agent
 from envs.config import EnvConfig
 from envs.core import BatchSim
 from questsim.motion.clip import Clip
+from questsim.motion.motion import Motion
+
+T = TypeVar("T", Clip, Motion)
 
 
 @dataclass(frozen=True)
@@ -117,11 +121,11 @@ def follow(
     )
 
 
-def choose_clips(clips: Sequence[Clip], count: int) -> list[Clip]:
+def choose_clips(clips: Sequence[T], count: int) -> list[T]:
     """A fixed subset that has all kinds of motion in proportion.
 
     Args:
-        clips: what there is.
+        clips: what there is, clips or motions.
         count: how many to take at most.
     """
     ordered = sorted(clips, key=lambda clip: (clip.kind, clip.style, clip.name))

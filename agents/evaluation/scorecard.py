@@ -12,8 +12,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from agents.evaluation.evaluate import evaluation_context
 from agents.evaluation.follow import choose_clips
+from agents.evaluation.report import evaluation_context
 from agents.evaluation.rollout import env_config, roll_out
 from agents.loading import load_agent
 from questsim.evaluation_report import LABELS, write_report
@@ -85,7 +85,12 @@ BARS: tuple[Bar, ...] = (
 
 
 def scorecard(
-    agent: str, motions: str, out: Path | None, max_clips: int | None, threads: int
+    agent: str,
+    motions: str,
+    out: Path | None,
+    max_clips: int | None,
+    threads: int,
+    seed: int = 0,
 ) -> dict[str, Any]:
     """Evaluate a policy and its variants, and hold the figures against the bars.
 
@@ -95,6 +100,7 @@ def scorecard(
         out: folder for ``scorecard.json`` and a report of each trial in a folder of its name.
         max_clips: follow only this many clips.
         threads: of the physics.
+        seed: of the embedded motions.
 
     Returns:
         What ``scorecard.json`` holds.
@@ -105,7 +111,7 @@ def scorecard(
     from questsim.motion.spec import load_motions
 
     agents = {name: load_agent(agent + trial.suffix) for name, trial in TRIALS.items()}
-    clips = load_motions(motions)
+    clips = load_motions(motions, seed=seed)
     if max_clips is not None:
         clips = choose_clips(clips, max_clips)
     sets = {name: (motions, clips, trial) for name, trial in TRIALS.items()}

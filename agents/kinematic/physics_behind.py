@@ -20,7 +20,7 @@ import numpy as np
 from agents.evaluation.rollout import env_config, roll_out
 from agents.kinematic.interface import Poses
 from agents.loading import load_agent
-from agents.names import PHYSICS
+from agents.resolve import ESTIMATE_TRACKER as TRACKER
 from questsim.body import build_body
 from questsim.metrics import Rollout
 from questsim.motion.clip import FPS, Clip
@@ -31,7 +31,6 @@ from questsim.motion.retarget_back import to_motion
 from questsim.pose_metrics import ENDS, HEAD, pose_samples
 from questsim.root_force import root_force
 
-TRACKER = "estimate-tracker"
 LATENCY_FRAMES = 6
 BEGINNING_FRAMES = 6
 """From the user's first state to the estimates: as far as the tracker looks ahead, 167 ms.
@@ -40,11 +39,6 @@ With it 48 clips of HMD-Poser are followed with an MPJPE of 3.18 instead of 3.32
 """
 _FEWEST = 4
 """Frames that jitter and accelerations take."""
-
-
-def base_of(agent: str) -> str | None:
-    """The kinematic system of a name that ends with ``PHYSICS``; None for other names."""
-    return agent.removesuffix(PHYSICS) if agent.endswith(PHYSICS) else None
 
 
 def on_own_body(poses: Poses, motion: Motion) -> Motion:

@@ -19,8 +19,8 @@ from torch import nn
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.registry import AGENTS, Entry
 from agents.kinematic.switches import switches
-from agents.names import SYSTEM_CARD, UNTRAINED
-from agents.policy.checkpoint import RESUME_FILE, SHIPPED, pack, whole_folder
+from agents.policy.checkpoint import RESUME_FILE, pack, whole_folder
+from agents.resolve import IK, SYSTEM_CARD, own_object, resolve_system
 from questsim.errors import InputError
 from questsim.joint_sensors import SENSOR_FPS
 from questsim.skeleton import JOINTS
@@ -127,25 +127,20 @@ def _spec(entry: Entry, card: dict[str, Any], folder: Path) -> Any:
     return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in found.items()})
 
 
-def find_system(path_or_name: str | Path) -> Path | None:
-    """The checkpoint folder that a path, stage, run or shipped name means; None if there is none.
+def find_system(path_or_name: str | Path) -> Path:
+    """The checkpoint folder of the kinematic system that a path, stage, run or name means.
 
-    Of a run the last stage counts that has a result.
+    Raises:
+        InputError: there is none, or it has no checkpoint.
     """
-    for path in (Path(path_or_name), SHIPPED / path_or_name):
-        for folder in (path, path / "best", path / "last"):
-            if (folder / CARD_FILE).exists():
-                return folder
-        for entry in AGENTS.values():
-            for stage in reversed(entry.presets["cpu"].stages):
-                for part in ("best", "last"):
-                    if (path / stage / part / CARD_FILE).exists():
-                        return path / stage / part
-    return None
+    folder = resolve_system(path_or_name).folder
+    if folder is None:
+        raise InputError("has no weights", path_or_name, "name a trained system")
+    return folder
 
 
 def load_system(path_or_name: str | Path, **options: Any) -> KinematicSystem:
-    """A system by name (``ik`` or a shipped one), checkpoint folder or run folder.
+    """A kinematic system by name, checkpoint or run folder, or ``package.module:Class``.
 
     Args:
         path_or_name: what to load.
@@ -155,15 +150,13 @@ def load_system(path_or_name: str | Path, **options: Any) -> KinematicSystem:
     Raises:
         InputError: there is none, or its checkpoint cannot be used.
     """
-    if str(path_or_name) in UNTRAINED:
+    found = resolve_system(path_or_name)
+    if found.name == IK:
         from agents.kinematic.ik import InverseKinematics
 
         return InverseKinematics(**options)
-    folder = find_system(path_or_name)
-    if folder is None:
-        raise InputError(
-            "is no kinematic system", path_or_name, f"train one, or use {', '.join(UNTRAINED)}"
-        )
-    module, card = load_module(folder)
+    if found.folder is None:
+        return own_object(found.name)
+    module, card = load_module(found.folder)
     entry = AGENTS[card["agent"]]
-    return entry.system(module, str(path_or_name), card["training"].get("trained", []), options)
+    return entry.system(module, found.name, card["training"].get("trained", []), options)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import nn
@@ -13,6 +13,7 @@ from torch import nn
 from agents.kinematic.data import MotionBank, motions_record
 from agents.kinematic.fit import Fit
 from agents.kinematic.learning import Config
+from agents.kinematic.options import TrainSystemArgs
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import (
     CARD_FILE,
@@ -22,34 +23,24 @@ from agents.kinematic.store import (
     save_system,
 )
 from agents.overrides import with_overrides
+from agents.resolve import from_anywhere
 from agents.run_folder import (
     RECORD,
     check_same_run,
-    default_of,
     note_resume,
-    plain,
     read_run,
     refuse_existing,
     start_run,
 )
 from agents.training.monitor import Display
 from agents.training.stage import Budget, Stopper
-from questsim.errors import InputError, at_least
+from questsim.errors import INTERRUPTED, InputError, at_least
 from questsim.motion.motion import Motion
 
-if TYPE_CHECKING:
-    from agents.training.train_policy import TrainArgs
-
-INTERRUPTED = 130
 MAY_DIFFER_ON_RESUME = {"minutes", "steps", "resume", "threads", "out", "set"}
-NOT_OURS = (
-    "stage", "teacher", "sensors", "future_frames", "heights", "mirrored", "hold_out",
-    "envs", "env", "pushes", "objects", "estimates", "randomisation",
-)  # fmt: skip
-"""Options of the torque policies' training alone."""
 
 
-def train_kinematic(args: TrainArgs) -> int:
+def train_system(args: TrainSystemArgs) -> int:
     """Run a training of ``args.agent``; returns the exit code.
 
     Raises:
@@ -57,9 +48,11 @@ def train_kinematic(args: TrainArgs) -> int:
     """
     from questsim.motion.spec import load_recordings
 
+    args = replace(args, start=from_anywhere(args.start))
     at_least(1, threads=args.threads, steps=args.steps)
     at_least(0, minutes=args.minutes, seed=args.seed)
-    _refuse_foreign(args)
+    if args.agent not in AGENTS:
+        raise InputError(f"there is no {args.agent!r}", "--agent", f"use {', '.join(AGENTS)}")
     entry = AGENTS[args.agent]
     config = entry.needed(with_overrides(entry.presets[args.preset], args.set))
     if args.resume:
@@ -111,10 +104,7 @@ def begin_with(module: nn.Module, start: Path, agent: str) -> None:
     Raises:
         InputError: there is no such system, or it is of another agent or other sizes.
     """
-    folder = find_system(start)
-    if folder is None:
-        raise InputError(f"{start} is no kinematic system", "--start")
-    found, card = load_module(folder)
+    found, card = load_module(find_system(start))
     if card["agent"] != agent:
         raise InputError(f"{start} is of {card['agent']}, not of {agent}", "--start")
     try:
@@ -127,24 +117,16 @@ def begin_with(module: nn.Module, start: Path, agent: str) -> None:
 
 def shipped_start(start: Path | None) -> dict[str, Any]:
     """How the shipped system that ``--start`` names was trained, for the run's record."""
-    folder = None if start is None else find_system(start)
-    if folder is None:  # none is named, or ``begin_with`` refuses it
+    if start is None:
         return {}
-    training = read_system_card(folder).get("training") or {}
+    training = read_system_card(find_system(start)).get("training") or {}
     # A run's own folder tells by itself.
     return {"start": training} if "stages" in training else {}
 
 
-def _refuse_foreign(args: TrainArgs) -> None:
-    for field in fields(args):
-        if field.name in NOT_OURS and plain(getattr(args, field.name)) != plain(default_of(field)):
-            option = "--" + field.name.replace("_", "-")
-            raise InputError(f"is for torque policies, not {args.agent}", option, "leave it out")
-
-
 def _fit(
     name: str,
-    args: TrainArgs,
+    args: TrainSystemArgs,
     config: Config,
     module: nn.Module,
     motions: Sequence[Motion],
@@ -186,7 +168,7 @@ def _fit(
     return fit
 
 
-def _budget(name: str, args: TrainArgs, config: Config) -> Budget:
+def _budget(name: str, args: TrainSystemArgs, config: Config) -> Budget:
     learning = config.stages[name]
     minutes = config.minutes if args.minutes is None else args.minutes
     if args.steps is not None and args.minutes is None:

@@ -14,7 +14,7 @@ import torch
 import tyro
 
 from agents.evaluation.follow import choose_clips
-from agents.live.drivers import BASELINES, Driver
+from agents.live.drivers import Driver
 from agents.live.load_driver import load_driver
 from agents.live.recording import record
 from agents.live.runner import Runner
@@ -22,7 +22,13 @@ from agents.live.session import DemoSession
 from agents.live.surroundings import NOTHING, needed_thing
 from agents.live.users import Recordings
 from agents.live.watcher import Checkpoint, Watcher, first_checkpoint, load_checkpoint
-from agents.names import kinematic_systems, shipped_policies, with_physics
+from agents.resolve import (
+    BASELINES,
+    DEFAULT_POLICY,
+    shipped_policies,
+    shipped_systems,
+    with_physics,
+)
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError, at_least
 from questsim.evaluation_report import check_writable
@@ -64,9 +70,9 @@ class WatchArgs:
 class DemoArgs(WatchArgs):
     """Watch a shipped policy or kinematic system follow a user, in a browser or on video."""
 
-    agent: str = "questsim"
-    """To begin with: the name of a shipped policy or kinematic system, a run folder, a checkpoint
-    folder, ik, zero or random."""
+    agent: str = DEFAULT_POLICY
+    """To begin with: the name of a shipped policy or kinematic system, a run or checkpoint folder,
+    ik, zero, random, or package.module:Class; a kinematic system also with +physics."""
     motions: str = "synthetic"
     """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
     terrain: str = "rough"
@@ -203,7 +209,7 @@ def available_drivers(
     names = [
         *([first] if first else []),
         *shipped_policies(),
-        *kinematic_systems(),
+        *shipped_systems(),
         *with_physics(),
     ]
     names += BASELINES

@@ -14,8 +14,6 @@ from questsim.errors import InputError
 from questsim.motion.clip import Clip
 from questsim.sensors import DEVICES, SENSOR_SETS
 
-BASELINES = ("zero", "random")
-
 
 class Driver(Protocol):
     """Anything that can drive a session's one avatar: by torques, or by poses.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from agents.live.drivers import BASELINES, Driver, TorqueDriver
+from agents.live.drivers import Driver, TorqueDriver
 from agents.loading import load_agent
-from agents.names import shipped_policies
+from agents.resolve import ESTIMATE_TRACKER, resolve
 from questsim.motion.motion import Motion
 
 
@@ -14,23 +14,21 @@ def load_driver(name: str, recording: Callable[[str], Motion]) -> Driver:
     """What an agent's name, checkpoint folder or run folder means.
 
     Args:
-        name: of a policy, a baseline or a kinematic system, perhaps with physics behind it.
+        any that ``agents.resolve`` knows.
         recording: by a clip's name, its user's motion; asked for by kinematic systems alone.
 
     Raises:
         InputError: there is no such agent, or it cannot be used.
     """
-    if name in BASELINES or name in shipped_policies():
+    found = resolve(name)
+    if found.torques:
         return TorqueDriver(load_agent(name))
     # Not at the top: all systems are imported with these, and the page is not to wait for them.
-    from agents.kinematic.physics_behind import TRACKER, base_of
-    from agents.kinematic.store import UNTRAINED, find_system, load_system
+    from agents.kinematic.store import load_system
     from agents.live.physics import PhysicsDriver
     from agents.live.poses import PoseDriver
 
-    base = base_of(name)
-    if base is not None:
-        return PhysicsDriver(load_system(base), load_agent(TRACKER), recording)
-    if name in UNTRAINED or find_system(name) is not None:
-        return PoseDriver(load_system(name), recording)
-    return TorqueDriver(load_agent(name))
+    system = load_system(found.base)
+    if found.kind == "system":
+        return PoseDriver(system, recording)
+    return PhysicsDriver(system, load_agent(ESTIMATE_TRACKER), recording)

@@ -12,8 +12,8 @@ from typing import Any
 
 from agents.live.drivers import Driver, TorqueDriver
 from agents.live.session import DemoSession
-from agents.names import SYSTEM_CARD
 from agents.policy.checkpoint import CARD_FILE, load_policy, read_card
+from agents.resolve import SYSTEM_CARD
 from agents.run_folder import RECORD
 from questsim.errors import InputError
 from questsim.motion.motion import Motion

@@ -25,22 +25,15 @@ from agents.agent import Needs
 from agents.policy.networks import ACTIVATIONS, TorquePolicy
 from agents.policy.policy_agent import PolicyAgent, Tracker, new_policy
 from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
+from agents.resolve import POLICY_CARD, resolve_policy
 from questsim.errors import InputError
 from questsim.motion.clip import FPS
 from questsim.skeleton import DOFS, LINKS
 
 FORMAT, FORMAT_VERSION = "questsim-policy", 1
-WEIGHTS_FILE, CARD_FILE, RESUME_FILE = "policy.safetensors", "policy.yaml", "resume.pt"
+WEIGHTS_FILE, CARD_FILE, RESUME_FILE = "policy.safetensors", POLICY_CARD, "resume.pt"
 CRITIC_FILE = "critic.safetensors"
-SHIPPED = Path(__file__).parents[1] / "weights"
 CRITIC = "critic."
-
-# Of the fine-tuning only what helped is a result, so its last state is none.
-RUN_POLICIES = (
-    "best", "last", "finetune/best", "student/best", "student/last",
-    "ppo/best", "ppo/last", "teacher/best", "teacher/last",
-)  # fmt: skip
-"""Where a stage and a run keep their result, best first."""
 
 
 def save_policy(
@@ -194,28 +187,14 @@ def load_critic(folder: Path, policy: TorquePolicy) -> None:
 
 
 def find_policy(path_or_name: str | Path) -> Path:
-    """The checkpoint folder that a path, stage or run folder, or shipped name means.
+    """The checkpoint folder of the policy that a path, stage or run folder, or name means.
 
     Raises:
-        InputError: if there is none; it lists the shipped names.
+        InputError: there is none; it lists what there is.
     """
-    if not str(path_or_name):
-        raise InputError("an empty name names no agent", fix="give a policy's folder or name")
-    path = Path(path_or_name)
-    if (path / CARD_FILE).exists():
-        return path
-    for part in RUN_POLICIES:
-        if (path / part / CARD_FILE).exists():
-            return path / part
-    if (SHIPPED / path / CARD_FILE).exists():
-        return SHIPPED / path
-    names = ", ".join([*shipped_with(CARD_FILE), "zero", "random"])
-    raise InputError("is no agent", path_or_name, f"name a policy folder or one of {names}")
-
-
-def shipped_with(card: str) -> tuple[str, ...]:
-    """Names of all that is shipped with a card of that file name."""
-    return tuple(sorted(path.parent.name for path in SHIPPED.glob(f"*/{card}")))
+    folder = resolve_policy(path_or_name).folder
+    assert folder is not None
+    return folder
 
 
 def find_teacher(path_or_name: str | Path) -> Path:

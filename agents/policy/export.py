@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from agents.agent import Agent
 from agents.licence import licence_of
-from agents.loading import load_agent
+from agents.policy.checkpoint import find_policy, load_policy
 from agents.policy.networks import TorquePolicy
 from agents.policy.observation_module import SparseObservation
 from agents.policy.policy_agent import PolicyAgent
@@ -41,7 +41,7 @@ class ExportArgs:
     """Write a policy as one graph that other runtimes can run."""
 
     agent: str
-    """A policy folder, a run folder or a shipped policy's name."""
+    """A policy: a run or checkpoint folder, or a shipped name."""
     out: Path
     """File to write."""
     format: Literal["onnx"] = "onnx"
@@ -86,7 +86,7 @@ def export(args: ExportArgs) -> int:
         InputError: for an agent that no graph can hold, a file that cannot be written, or
             packages that are missing.
     """
-    agent = load_agent(args.agent)
+    agent = load_policy(find_policy(args.agent))
     check_exportable(agent, args.agent)
     _check_packages()
     if args.out.is_dir() or not args.out.parent.is_dir():

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from agents.kinematic.ik import DEVICES as IK_DEVICES
-from agents.kinematic.physics_behind import TRACKER
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import CARD_FILE, read_system_card
 from agents.licence import OURS, licence_of, strictest
-from agents.names import PHYSICS, shipped_policies
-from agents.policy.checkpoint import SHIPPED, read_card
+from agents.policy.checkpoint import load_policy, read_card
+from agents.resolve import ESTIMATE_TRACKER, IK, SHIPPED, shipped_policies, with_physics
 
 KEYS = ("agent", "preset", "title", "sensors", "parameters", "licence", "weights")
 
@@ -57,7 +56,7 @@ def catalogue() -> list[dict[str, Any]]:
             )
     entries.append(
         {
-            "agent": "ik",
+            "agent": IK,
             "preset": "-",
             "title": f"inverse kinematics (mink) of {len(IK_DEVICES)} trackers",
             "sensors": ["6T"],
@@ -71,15 +70,13 @@ def catalogue() -> list[dict[str, Any]]:
 
 def _with_physics(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """What can be run with the tracker behind it: systems that are there."""
-    from agents.policy.checkpoint import load_policy
-
-    tracker = load_policy(SHIPPED / TRACKER)
+    tracker = load_policy(SHIPPED / ESTIMATE_TRACKER)
     behind = sum(p.numel() for p in tracker.policy.parameters())
     licence = licence_of(tracker.card["training"])
     return [
         {
             **entry,
-            "agent": entry["agent"] + PHYSICS,
+            "agent": with_physics([entry["agent"]])[0],
             "title": f"{entry['title']}, followed by the tracker's torques",
             "parameters": entry["parameters"] + behind,
             "licence": strictest([entry["licence"], licence]),
@@ -91,8 +88,6 @@ def _with_physics(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _policies() -> list[dict[str, Any]]:
-    from agents.policy.checkpoint import load_policy
-
     entries = []
     for name in shipped_policies():
         card, policy = read_card(SHIPPED / name), load_policy(SHIPPED / name).policy

@@ -12,7 +12,7 @@ from typing import Any
 from agents.licence import strictest
 from agents.policy.checkpoint import CARD_FILE, find_policy, find_teacher, read_card
 from agents.run_folder import RECORD, default_of, plain, read_run
-from agents.training.train_policy import TrainArgs
+from agents.training.options import TrainArgs
 from questsim.errors import InputError
 
 STAGES = ("teacher", "student", "finetune")
@@ -283,10 +283,15 @@ def _run_name(
     return next(_out(p.command) for p in parts if p.command is not None and _is_same(p, own))
 
 
-def options_of(args: Mapping[str, Any]) -> list[str]:
-    """The recorded options that are not the defaults, and always the preset and the motions."""
+def options_of(args: Mapping[str, Any], kind: type = TrainArgs) -> list[str]:
+    """The recorded options that are not the defaults, and always the preset and the motions.
+
+    Args:
+        args: as a run's record has them.
+        kind: the dataclass of options that they are of.
+    """
     words: list[str] = []
-    for option in fields(TrainArgs):
+    for option in fields(kind):
         name = option.name
         if name in NOT_REPEATED or name not in args:
             continue

@@ -12,16 +12,15 @@ import yaml
 
 from agents.kinematic.store import CARD_FILE as SYSTEM_CARD
 from agents.kinematic.store import WEIGHTS_FILE as SYSTEM_WEIGHTS
-from agents.kinematic.store import find_system, read_system_card
+from agents.kinematic.store import read_system_card
 from agents.licence import UNKNOWN
 from agents.policy.checkpoint import (
     CARD_FILE,
     CRITIC_FILE,
-    SHIPPED,
     WEIGHTS_FILE,
-    find_policy,
     load_policy,
 )
+from agents.resolve import BASELINES, SHIPPED, UNTRAINED, resolve
 from agents.shipping.model_card import model_card, read_metrics
 from agents.shipping.provenance import portable, provenance
 from agents.shipping.system_card import comparison_lines, system_card, system_provenance
@@ -31,7 +30,7 @@ MODEL_CARD = "README.md"
 MAX_BYTES = 10_000_000
 """A shipped file is smaller than this: weights travel with the source."""
 
-RESERVED = ("zero", "random", "ik")
+RESERVED = (*BASELINES, *UNTRAINED)
 """Names of agents that need no weights."""
 
 
@@ -58,10 +57,10 @@ def ship(args: ShipArgs) -> int:
             a report is of others.
     """
     check_name(args.name)
-    system = find_system(args.run) if args.run.exists() else None
-    if system is None:
-        return _ship_policy(args, find_policy(args.run))
-    return _ship_system(args, system)
+    found = resolve(args.run)
+    if found.folder is None or found.kind not in ("policy", "system"):
+        raise InputError("has no weights to ship", args.run, "name a run folder")
+    return (_ship_policy if found.kind == "policy" else _ship_system)(args, found.folder)
 
 
 def _ship_policy(args: ShipArgs, source: Path) -> int:

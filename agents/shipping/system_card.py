@@ -12,10 +12,11 @@ from typing import Any
 from agents.comparison.report import LABELS, SCHEMA, SCHEMA_VERSION
 from agents.comparison.run import parameters
 from agents.kinematic.interface import KinematicSystem
-from agents.kinematic.physics_behind import base_of
+from agents.kinematic.options import TrainSystemArgs
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import CARD_FILE, find_system, load_system, read_system_card
 from agents.licence import strictest
+from agents.resolve import base_of
 from agents.run_folder import read_run
 from agents.shipping.model_card import card_text, read_report, time_text
 from agents.shipping.provenance import options_of, run_of
@@ -68,7 +69,8 @@ def system_provenance(folder: Path) -> dict[str, Any]:
             }
         )
     minutes = ceil(sum(stage["minutes"] for stage in stages))
-    words = [*options_of(record["args"]), "--minutes", str(minutes), "--out", "runs/NAME"]
+    words = options_of(record["args"], TrainSystemArgs)
+    words += ["--minutes", str(minutes), "--out", "runs/NAME"]
     before: dict[str, Any] = {"commands": [], "stages": [], "licences": []}
     if start := record["args"].get("start"):
         before, called = _start_provenance(start, record.get("behind", {}).get("start"))
@@ -95,8 +97,6 @@ def _start_provenance(start: str, shipped: dict[str, Any] | None) -> tuple[dict[
     told, called = shipped, f"runs/{Path(start).name}"
     if told is None:
         folder = find_system(start)
-        if folder is None:
-            raise InputError("what it started from is gone", start)
         told = read_system_card(folder)["training"]
         called = f"runs/{folder.name}"
         if "stages" not in told:

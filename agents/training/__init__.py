@@ -7,9 +7,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from agents.training.train_policy import TrainArgs, train
+    from agents.training.options import TrainArgs
+    from agents.training.train_policy import train
 
-_HOMES = {"TrainArgs": "agents.training.train_policy", "train": "agents.training.train_policy"}
+_HOMES = {"TrainArgs": "agents.training.options", "train": "agents.training.train_policy"}
 __all__ = ["TrainArgs", "train"]
 
 

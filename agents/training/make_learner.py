@@ -21,7 +21,7 @@ from questsim.errors import InputError
 from questsim.skeleton import DOFS
 
 if TYPE_CHECKING:
-    from agents.training.train_policy import TrainArgs
+    from agents.training.options import TrainArgs
 
 
 def make_learner(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import torch
 
@@ -15,6 +15,7 @@ from agents.evaluation.follow import Followed, choose_clips, evaluation_sim, fol
 from agents.overrides import with_overrides
 from agents.policy.checkpoint import CARD_FILE, find_policy, read_card
 from agents.policy.policy_agent import PolicyAgent
+from agents.resolve import from_anywhere
 from agents.run_folder import (
     RECORD,
     check_same_run,
@@ -27,6 +28,7 @@ from agents.run_folder import (
 from agents.training.learner import Learner
 from agents.training.make_learner import make_learner
 from agents.training.monitor import Display
+from agents.training.options import TrainArgs
 from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PRESETS, PPOConfig, Preset, StageConfig, shown_estimates
 from agents.training.stage import Budget, Stage, Stopper
@@ -36,10 +38,9 @@ from envs.objects import objects_named
 from envs.pushes import Pushes
 from envs.randomisation import Randomisation
 from envs.terrain import terrain_named
-from questsim.errors import InputError, at_least
+from questsim.errors import INTERRUPTED, InputError, at_least
 from questsim.motion.clip import Clip
 
-INTERRUPTED = 130
 Pairs = dict[str, tuple[Clip, Clip]]
 _PAUSE_S = (1.0, 4.0)
 """Between pushes: long enough to recover from one before the next."""
@@ -53,68 +54,7 @@ MAY_DIFFER_ON_RESUME = {
     "teacher",
     "set",
     "start",
-    "agent",  # records from before there were kinematic agents lack it
 }
-
-
-@dataclass(frozen=True)
-class TrainArgs:
-    """Train a policy that drives the avatar by torques, or a kinematic system."""
-
-    out: Path
-    """Folder of the run: record, checkpoints, TensorBoard logs."""
-    agent: Literal["policy", "sparseposer", "dragposer", "hmdposer", "lgsik"] = "policy"
-    """A torque policy, or a kinematic system (docs/agents.md)."""
-    motions: str = "synthetic"
-    """What to learn: synthetic, a dataset (bandai-namco-2:train), a library, file or folder."""
-    preset: Literal["cpu", "paper", "smoke"] = "cpu"
-    """What learns on two cores, what was published, or a test of two minutes."""
-    stage: Literal["all", "teacher", "student", "finetune", "ppo"] = "all"
-    """One stage alone, with the whole time for itself."""
-    minutes: float | None = None
-    """Time for everything, earlier parts of a resumed run included; by default the preset's."""
-    steps: int | None = None
-    """Environment steps of each stage, instead of the preset's limit."""
-    resume: bool = False
-    """Go on with the run in --out."""
-    teacher: Path | None = None
-    """A teacher for the student stage: a folder or a shipped name; by default the run's own."""
-    start: Path | None = None
-    """A teacher, by folder or shipped name, whose weights the teacher begins with; with --stage
-    student or finetune, a policy (a run, a stage, a shipped name) that is trained further; with a
-    kinematic --agent, a system of that agent and these sizes."""
-    estimates: str | None = None
-    """Libraries of questsim estimate, joined by commas, of --motions: what learns with --stage
-    student or finetune is a tracker that is shown these, and what they are of, while its teacher
-    sees, and its reward is for, what the users did."""
-    sensors: str = "H+2C"
-    """What the policy sees of the user."""
-    future_frames: int = 6
-    """How many frames ahead it sees the sensors (0 to 6)."""
-    heights: tuple[float, float] | None = None
-    """Statures in metres to train with, by default the motions' own."""
-    mirrored: bool = False
-    """Learn every clip mirrored as well."""
-    env: str | None = None
-    """Ground to learn on: rough, slope, stairs, course, mixed (flat, rough and sloping), ..., or
-    rough:amplitude_m=0.06; flat by default. With --start a policy goes on there."""
-    pushes: tuple[float, float] | None = None
-    """Push the avatars every 1 to 4 s for 0.2 s at the chest, with this least and greatest force in
-    newtons, in any direction."""
-    objects: tuple[str, ...] = ()
-    """Things on the clips' paths, to stumble over and to kick: ball, box, hurdle, chair."""
-    randomisation: Randomisation = field(default_factory=Randomisation)
-    """What differs between the simulations."""
-    hold_out: str = ""
-    """Styles, joined by commas, that are not learnt from but evaluated on."""
-    envs: int | None = None
-    """Simulations in the batch, by default the preset's."""
-    threads: int = 2
-    """Threads of physics and networks."""
-    seed: int = 0
-    """Of everything that is random."""
-    set: tuple[str, ...] = ()
-    """Values of the preset to change, e.g. stages.teacher.learning.desired_kl=0.06."""
 
 
 def train(args: TrainArgs) -> int:
@@ -123,11 +63,8 @@ def train(args: TrainArgs) -> int:
     Raises:
         InputError: for options, motions or a run folder that cannot be used.
     """
-    args = replace(args, teacher=_from_anywhere(args.teacher), start=_from_anywhere(args.start))
-    if args.agent != "policy":
-        from agents.kinematic.training import train_kinematic
-
-        return train_kinematic(args)
+    args = replace(args, teacher=from_anywhere(args.teacher), start=from_anywhere(args.start))
+    _refuse_unused(args)
     at_least(1, threads=args.threads, envs=args.envs, steps=args.steps)
     at_least(0, minutes=args.minutes, seed=args.seed)
     preset = with_overrides(PRESETS[args.preset], args.set)
@@ -168,18 +105,16 @@ def train(args: TrainArgs) -> int:
     return 0
 
 
-def _from_anywhere(policy: Path | None) -> Path | None:
-    """A policy's path so that the run's record means it in any folder; names stay names.
+def _refuse_unused(args: TrainArgs) -> None:
+    """Refuse the policies that a single stage does not build on.
 
-    A folder that merely has a shipped policy's name, as the package ``questsim`` has, is no path.
+    Raises:
+        InputError: naming the option.
     """
-    if policy is None or not policy.exists():
-        return policy
-    try:
-        found = find_policy(policy)
-    except InputError:  # refused later, by what needs it
-        return policy.absolute()
-    return policy.absolute() if found.is_relative_to(policy) else policy
+    uses = {"teacher": ("all", "student"), "start": ("all", "teacher", "student", "finetune")}
+    for option, stages in uses.items():
+        if getattr(args, option) is not None and args.stage not in stages:
+            raise InputError(f"does not go with --stage {args.stage}", f"--{option}")
 
 
 def shipped_behind(start: Path | None, teacher: Path | None) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 from agents.comparison.report import COSTS, TABLES, Row, table
-from agents.kinematic.physics_behind import base_of
+from agents.resolve import base_of
 from questsim.cli import guarded
 from questsim.errors import InputError
 

@@ -1,0 +1,1 @@
+"""The command lines ``train.py`` and ``evaluate.py``, which put the jobs of ``agents`` together."""

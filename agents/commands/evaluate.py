@@ -1,0 +1,181 @@
+"""``evaluate.py``: an agent on clips, in other worlds, against the bars; or agents compared."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+
+from agents.comparison.compare import CompareArgs, at_sensor_rate, compare
+from agents.comparison.run import devices_named, reconstructed, reference, suiting, workers
+from agents.comparison.scenarios import Scenario
+from agents.evaluation.follow import choose_clips
+from agents.evaluation.options import EvaluateArgs, ScorecardArgs, WorldsArgs
+from agents.evaluation.report import evaluation_context, filmed, report
+from agents.evaluation.rollout import env_config, roll_out
+from agents.evaluation.scorecard import format_scorecard, scorecard
+from agents.evaluation.worlds import format_worlds, run_worlds, write_worlds
+from agents.kinematic.physics_behind import follow_poses
+from agents.kinematic.without_physics import pose_rollout
+from agents.loading import load_agent
+from agents.resolve import ESTIMATE_TRACKER, Resolved, resolve
+from envs.config import EnvConfig
+from envs.objects import objects_named
+from envs.terrain import terrain_named
+from questsim.errors import InputError, at_least
+from questsim.evaluation_report import check_writable
+from questsim.modes import Mode, Modes
+
+_OF_PHYSICS = ("env", "height", "avatar_height", "terrain", "objects")
+"""Options of an environment, which a kinematic system does not have."""
+
+
+def evaluate(args: EvaluateArgs) -> int:
+    """Run an evaluation, print its table and write its report; returns the exit code.
+
+    Raises:
+        InputError: for an agent, motions or a folder that cannot be used.
+    """
+    from questsim.motion.spec import load_motions
+
+    at_least(1, threads=args.threads, max_clips=args.max_clips)
+    at_least(0, seed=args.seed)
+    if args.video_clips and not args.video:
+        raise InputError("there is no video to show them", "--video-clips", "add --video")
+    if args.video and args.out is None:
+        raise InputError("a video needs a folder", "--video", "add --out DIR")
+    found = resolve(args.agent)
+    _refuse_unused(args, ("sensors",) if found.torques else _OF_PHYSICS)
+    if args.out is not None:
+        check_writable(args.out)
+    torch.set_num_threads(args.threads)
+    if not found.torques:
+        return _evaluate_system(args, found)
+    agent = load_agent(args.agent)
+    height = args.height if args.avatar_height is None else args.avatar_height
+    config = _config_of(args, env_config(agent, args.env, height))
+    clips = load_motions(args.motions, seed=args.seed)
+    if args.max_clips is not None:
+        clips = choose_clips(clips, args.max_clips)
+    filmed(args, clips)
+    rollouts = roll_out(agent, clips, config, args.threads)
+    context = evaluation_context(args.agent, agent, args.motions, clips, config, args.threads)
+    return report(args, rollouts, context)
+
+
+def _refuse_unused(args: EvaluateArgs, options: Sequence[str]) -> None:
+    """Refuse what this agent has no use for, and a height that another one overrides."""
+    for option in options:
+        if getattr(args, option) not in (None, ()):
+            raise InputError(f"does not go with {args.agent}", f"--{option.replace('_', '-')}")
+    if args.height is not None and args.avatar_height is not None:
+        raise InputError("does not go with --avatar-height", "--height", "give one of them")
+
+
+def _config_of(args: EvaluateArgs, config: EnvConfig) -> EnvConfig:
+    """The environment with the ground and the objects that are asked for."""
+    if args.terrain is not None:
+        config = replace(config, terrain=terrain_named(args.terrain, "--terrain"))
+    if args.objects:
+        config = replace(config, objects=objects_named(args.objects, "--objects"))
+    return config
+
+
+def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
+    """A kinematic system, with or without physics behind it, on what its devices report."""
+    from questsim.motion.spec import load_recordings
+
+    scenario = _scenario(args)
+    motions = at_sensor_rate(load_recordings(args.motions, seed=args.seed), args.max_clips)
+    filmed(args, motions)
+    jobs = [(found.base, scenario, motion, 0) for motion in motions]
+    if found.kind == "physics":
+        with workers(args.threads) as mapper:
+            references = list(mapper(reference, jobs))
+        rollouts = follow_poses(references, motions, args.threads)
+        tracker = load_agent(ESTIMATE_TRACKER)
+        clips = [rollout.reference for rollout in rollouts]
+        config = env_config(tracker)
+        context = evaluation_context(args.agent, tracker, args.motions, clips, config, args.threads)
+        return report(args, rollouts, context)
+    began = time.perf_counter()
+    with workers(args.threads) as mapper:
+        poses = list(mapper(reconstructed, jobs))
+    share = (time.perf_counter() - began) / sum(map(len, motions))
+    rollouts = [
+        pose_rollout(pose, motion, share * len(motion))
+        for pose, motion in zip(poses, motions, strict=True)
+    ]
+    clips = [rollout.reference for rollout in rollouts]
+    given = {"physics": False, "devices": list(scenario.devices)}
+    context = evaluation_context(args.agent, None, args.motions, clips, given, args.threads)
+    return report(args, rollouts, context | {"training": found.training})
+
+
+def _scenario(args: EvaluateArgs) -> Scenario:
+    """The first plain scenario of a kinematic system, with the devices that are asked for."""
+    suited = suiting(args.agent, devices_named(args.sensors))
+    if not suited:
+        raise InputError(f"{args.agent} is not used with {args.sensors}", "--sensors")
+    return suited[0]
+
+
+def evaluate_worlds(args: WorldsArgs) -> int:
+    """Run the worlds table, print it and write worlds.json; returns the exit code.
+
+    Raises:
+        InputError: for an agent, motions or a folder that cannot be used.
+    """
+    from questsim.motion.spec import load_motions
+
+    at_least(1, threads=args.threads, max_clips=args.max_clips)
+    at_least(0, seed=args.seed)
+    check_writable(args.out)
+    torch.set_num_threads(args.threads)
+    agent = load_agent(args.agent)
+    config = env_config(agent)
+    clips = load_motions(args.motions, seed=args.seed)
+    table = run_worlds(agent, clips, config, args.threads, args.max_clips, args.seed)
+    print(format_worlds(table))
+    context = evaluation_context(args.agent, agent, args.motions, clips, config, args.threads)
+    print(f"written to {write_worlds(table, args.out, context)}")
+    return 0
+
+
+def evaluate_scorecard(args: ScorecardArgs) -> int:
+    """Hold a policy and its variants against the bars and print the table; returns the exit code.
+
+    Raises:
+        InputError: one of the policies, the motions or a folder cannot be used.
+    """
+    at_least(1, threads=args.threads, max_clips=args.max_clips)
+    at_least(0, seed=args.seed)
+    if args.out is not None:
+        check_writable(args.out)
+    torch.set_num_threads(args.threads)
+    card = scorecard(args.agent, args.motions, args.out, args.max_clips, args.threads, args.seed)
+    print(format_scorecard(card))
+    return 0
+
+
+_BY_FLAG = {
+    "--worlds": Mode("--worlds", WorldsArgs, evaluate_worlds),
+    "--scorecard": Mode("--scorecard", ScorecardArgs, evaluate_scorecard),
+    "--compare": Mode("--compare", CompareArgs, compare),
+}
+_ONE_AGENT = Mode("--agent NAME", EvaluateArgs, evaluate)
+
+
+def _choose(words: Sequence[str]) -> tuple[Mode, list[str]]:
+    """The job whose flag is given; without any, the evaluation of one agent."""
+    flags = list(dict.fromkeys(word for word in words if word in _BY_FLAG))
+    if len(flags) > 1:
+        raise InputError(f"does not go with {flags[1]}", flags[0], "give one of them")
+    mode = _BY_FLAG[flags[0]] if flags else _ONE_AGENT
+    return mode, [word for word in words if word not in _BY_FLAG]
+
+
+EVALUATE = Modes((_ONE_AGENT, *_BY_FLAG.values()), _choose)
+"""The jobs of ``evaluate.py`` and ``questsim evaluate``."""

@@ -1,0 +1,41 @@
+"""``train.py``: torque policies, and with ``--agent`` kinematic systems."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from agents.kinematic.options import TrainSystemArgs
+from agents.kinematic.registry import AGENTS
+from agents.kinematic.training import train_system
+from agents.training.options import TrainArgs
+from agents.training.train_policy import train
+from questsim.errors import InputError
+from questsim.modes import Mode, Modes
+
+POLICY = "policy"
+"""Of ``--agent``: a torque policy, as without the option."""
+
+_POLICY = Mode(f"--agent {POLICY}", TrainArgs, train)
+_SYSTEM = Mode(f"--agent {'|'.join(AGENTS)}", TrainSystemArgs, train_system)
+
+
+def _choose(words: Sequence[str]) -> tuple[Mode, list[str]]:
+    """Policies, or kinematic systems where ``--agent`` names one."""
+    rest, agent = [], POLICY
+    waiting = iter(words)
+    for word in waiting:
+        option, equals, value = word.partition("=")
+        if option != "--agent":
+            rest.append(word)
+            continue
+        agent = value if equals else next(waiting, "")
+    if agent == POLICY:
+        return _POLICY, rest
+    if agent not in AGENTS:
+        known = ", ".join((POLICY, *AGENTS))
+        raise InputError(f"there is no {agent!r} to train", "--agent", f"use one of {known}")
+    return _SYSTEM, ["--agent", agent, *rest]
+
+
+TRAIN = Modes((_POLICY, _SYSTEM), _choose)
+"""The jobs of ``train.py`` and ``questsim train``."""

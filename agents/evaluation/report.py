@@ -1,0 +1,92 @@
+"""What an evaluation prints and writes: the table, the report, the video."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from agents.agent import Agent
+from agents.evaluation.options import EvaluateArgs
+from agents.policy.policy_agent import PolicyAgent
+from agents.run_folder import data_record, versions
+from envs.config import EnvConfig
+from envs.terrain import height_field
+from questsim.evaluation_report import format_table, write_report
+from questsim.metrics import Rollout, evaluate
+from questsim.motion.clip import Clip
+from questsim.motion.motion import Motion
+
+T = TypeVar("T", Clip, Motion, Rollout)
+FILMED_CLIPS = 4
+"""Clips in a video where none are named."""
+
+
+def evaluation_context(
+    name: str,
+    agent: Agent | None,
+    motions: str,
+    clips: Sequence[Clip],
+    config: EnvConfig | dict[str, Any],
+    threads: int,
+) -> dict[str, Any]:
+    """What was evaluated, for the report.
+
+    Args:
+        name: of the agent, as it was given.
+        agent: itself; None for a kinematic system.
+        motions: the motion argument of ``clips``.
+        clips: what was followed.
+        config: where, or by which devices.
+        threads: of physics and networks.
+    """
+    return {
+        "agent": name,
+        "training": agent.card.get("training", {}) if isinstance(agent, PolicyAgent) else {},
+        "config": config,
+        "data": data_record(motions, clips),
+        "versions": versions(),
+        "threads": threads,
+    }
+
+
+def report(args: EvaluateArgs, rollouts: list[Rollout], context: dict[str, Any]) -> int:
+    """Print the table of an evaluation and write what ``args`` ask for; returns the exit code."""
+    if args.out is None:
+        print(format_table(evaluate(rollouts)))
+        return 0
+    print(format_table(write_report(rollouts, args.out, context)))
+    print(f"written to {args.out}")
+    if args.video:
+        config = context["config"]
+        ground = config.terrain if isinstance(config, EnvConfig) else None
+        shown = filmed(args, rollouts)
+        count = len(args.video_clips) or FILMED_CLIPS
+        _film(shown, args.out / "rollouts.mp4", ground, count)
+    return 0
+
+
+def filmed(args: EvaluateArgs, clips: list[T]) -> list[T]:
+    """Those that ``--video-clips`` names, or all to choose from.
+
+    Raises:
+        InputError: there is none of a name.
+    """
+    if not args.video_clips:
+        return clips
+    from questsim.viewing.films import named
+
+    return named(clips, args.video_clips, "--video-clips")
+
+
+def _film(rollouts: list[Rollout], path: Path, terrain: Any, count: int) -> None:
+    """Write the video, or say in one line why there is none."""
+    from questsim.viewing.films import rollout_video
+    from questsim.viewing.gl import NoGLError
+
+    try:
+        ground = None if terrain is None else height_field(terrain)
+        print(f"written to {rollout_video(rollouts, path, max_clips=count, ground=ground)}")
+    except NoGLError as error:
+        print(f"video skipped: {error}", file=sys.stderr)

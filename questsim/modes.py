@@ -1,0 +1,87 @@
+"""A command that does one of several jobs: each has options of its own, and refuses the others'."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any, NamedTuple, get_args, get_type_hints
+
+from questsim.errors import InputError
+
+
+class Mode(NamedTuple):
+    """One job of a command.
+
+    Attributes:
+        name: how a user chooses it, for messages, e.g. ``--compare``.
+        args: the dataclass of its options.
+        function: does it; the dataclass is its only argument.
+    """
+
+    name: str
+    args: type
+    function: Callable[[Any], object]
+
+    def options(self) -> set[str]:
+        """Its options as they are written, e.g. ``--video`` and ``--no-video``."""
+        return option_names(self.args)
+
+
+class Modes(NamedTuple):
+    """The jobs of a command, and how a command line chooses one.
+
+    Attributes:
+        modes: all of them; the first is that of a command line which chooses none.
+        choose: of the words of a command line: the mode, and the words that are its options.
+    """
+
+    modes: tuple[Mode, ...]
+    choose: Callable[[Sequence[str]], tuple[Mode, list[str]]]
+
+    def chosen(self, words: Sequence[str]) -> tuple[Mode, list[str]]:
+        """The mode of a command line and its own words.
+
+        Raises:
+            InputError: an option is another mode's, or two modes are asked for.
+        """
+        mode, rest = self.choose(words)
+        own = mode.options()
+        for word in rest:
+            option = word.partition("=")[0].replace("_", "-")
+            if not option.startswith("--") or option in own:
+                continue
+            homes = [other.name for other in self.modes if option in other.options()]
+            if homes:
+                fix = f"leave it out; it is an option of {', '.join(homes)}"
+                raise InputError(f"does not go with {mode.name}", option, fix)
+        return mode, rest
+
+    def run(self, words: Sequence[str], prog: str | None = None) -> object:
+        """Parse a command line and do the job it asks for; returns what that returns.
+
+        Raises:
+            InputError: see ``chosen``, and the job's own.
+        """
+        import tyro
+
+        mode, rest = self.chosen(words)
+        others = "; ".join(other.name for other in self.modes if other is not mode)
+        text = f"{(mode.args.__doc__ or '').strip()} For other options: {others}, and --help."
+        return mode.function(tyro.cli(mode.args, args=rest, prog=prog, description=text))
+
+
+def option_names(args: type, prefix: str = "--") -> set[str]:
+    """Options that tyro makes of a dataclass, nested ones as ``--outer.inner``."""
+    names: set[str] = set()
+    hints = get_type_hints(args)
+    for field in fields(args):
+        name = field.name.replace("_", "-")
+        kinds = [hints[field.name], *get_args(hints[field.name])]
+        inner = next((kind for kind in kinds if is_dataclass(kind)), None)
+        if isinstance(inner, type):
+            names |= option_names(inner, f"{prefix}{name}.")
+        names.add(f"{prefix}{name}")
+        if bool in kinds:
+            head, _, last = f"{prefix}{name}".rpartition(".")
+            names.add(f"{head}.no-{last}" if head else f"--no-{name}")
+    return names
