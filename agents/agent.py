@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, Protocol
 
 import numpy as np
@@ -85,3 +86,17 @@ class RandomAgent:
     def act(self, obs: np.ndarray) -> np.ndarray:
         """Random numbers ``(n, 33)``."""
         return self._random.uniform(-1.0, 1.0, (len(obs), NUM_DOFS)).astype(np.float32)
+
+
+_ELSEWHERE = {
+    "PolicyAgent": "agents.policy.policy_agent",
+    "Tracker": "agents.policy.policy_agent",
+    "load_agent": "agents.loading",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Public names that can be imported from here as well as from ``agents``, when first used."""
+    if name not in _ELSEWHERE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_ELSEWHERE[name]), name)

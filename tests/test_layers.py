@@ -16,7 +16,8 @@ FORBIDDEN = {
 ALLOWED = {ROOT / "questsim" / "cli.py"}
 ORDER = (
     "precision", "overrides", "licence", "run_folder", "agent", "resolve", "policy", "loading",
-    "evaluation", "training", "kinematic", "comparison", "shipping", "live", "commands",
+    "evaluation", "training", "kinematic", "comparison", "shipping", "live",
+    "follower", "commands",
 )  # fmt: skip
 """Folders and modules of ``agents``: each imports only those before it."""
 

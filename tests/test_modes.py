@@ -18,8 +18,7 @@ COMMANDS = {
         "--agent NAME": [], "--worlds": ["--worlds"], "--scorecard": ["--scorecard"],
         "--compare": ["--compare"],
     }),
-    "train": (TRAIN, {mode.name: ["--agent", mode.name.split()[1].split("|")[0]]
-                      for mode in TRAIN.modes}),
+    "train": (TRAIN, {"--agent policy": [], "--agent SYSTEM": ["--agent", "lgsik"]}),
 }  # fmt: skip
 
 

@@ -16,7 +16,7 @@ POLICY = "policy"
 """Of ``--agent``: a torque policy, as without the option."""
 
 _POLICY = Mode(f"--agent {POLICY}", TrainArgs, train)
-_SYSTEM = Mode(f"--agent {'|'.join(AGENTS)}", TrainSystemArgs, train_system)
+_SYSTEM = Mode("--agent SYSTEM", TrainSystemArgs, train_system)
 
 
 def _choose(words: Sequence[str]) -> tuple[Mode, list[str]]:

@@ -23,8 +23,10 @@ from agents.follower.engines import (
 )
 from agents.follower.stance import estimated_pose
 from agents.kinematic.interface import KinematicSystem
+from agents.kinematic.store import load_system
 from agents.loading import load_agent
-from agents.names import UNTRAINED
+from agents.resolve import ESTIMATE_TRACKER, resolve
+from envs.stream import standing_clip
 from envs.terrain import Terrain
 from questsim import rotations as rot
 from questsim.avatar_pose import AvatarPose
@@ -232,16 +234,12 @@ def engine_of(
         return PoseEngine(agent, sensors, terrain)
     if not isinstance(agent, str | Path):
         return TorqueEngine(agent, sensors, assist_n, terrain)
-    # Not at the top: all systems are imported with these.
-    from agents.kinematic.physics_behind import TRACKER, base_of
-    from agents.kinematic.store import find_system, load_system
-
-    name = str(agent)
-    base = base_of(name)
-    if base is not None:
-        if terrain is not None:
-            raise InputError(f"{name} follows on level ground only", "terrain", "leave it out")
-        return PhysicsEngine(load_system(base), load_agent(TRACKER), sensors, assist_n)
-    if name in UNTRAINED or find_system(name) is not None:
-        return PoseEngine(load_system(name), sensors, terrain)
-    return TorqueEngine(load_agent(agent), sensors, assist_n, terrain)
+    found = resolve(agent)
+    if found.torques:
+        return TorqueEngine(load_agent(agent), sensors, assist_n, terrain)
+    system = load_system(found.base)
+    if found.kind == "system":
+        return PoseEngine(system, sensors, terrain)
+    if terrain is not None:
+        raise InputError(f"{agent} follows on level ground only", "terrain", "leave it out")
+    return PhysicsEngine(system, load_agent(ESTIMATE_TRACKER), sensors, assist_n)
