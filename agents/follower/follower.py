@@ -26,7 +26,6 @@ from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.store import load_system
 from agents.loading import load_agent
 from agents.resolve import ESTIMATE_TRACKER, resolve
-from envs.stream import standing_clip
 from envs.terrain import Terrain
 from questsim import rotations as rot
 from questsim.avatar_pose import AvatarPose
