@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.joint_sensors import (
     SENSOR_FPS,
@@ -29,9 +28,9 @@ from questsim.joint_sensors import (
     mount,
 )
 from questsim.motion.checks import stature_of
-from questsim.motion.motion import Motion
+from questsim.motion.motion import Motion, joint_kinematics
 from questsim.sensors import DEVICES, SENSOR_SETS
-from questsim.skeleton import JOINT_PARENTS, NUM_JOINTS
+from questsim.skeleton import NUM_JOINTS
 
 MAX_GAP_S = 0.5
 """Longer gaps in a stream are not bridged: the system begins anew."""
@@ -85,17 +84,7 @@ class Poses:
 
     def forward_kinematics(self) -> tuple[np.ndarray, np.ndarray]:
         """World positions ``(T, 22, 3)`` and orientations ``(T, 22, 4)``."""
-        positions = np.empty((len(self), NUM_JOINTS, 3))
-        orientations = np.empty((len(self), NUM_JOINTS, 4))
-        positions[:, 0], orientations[:, 0] = self.root_position, self.rotations[:, 0]
-        for joint in range(1, NUM_JOINTS):
-            parent = JOINT_PARENTS[joint]
-            bone = rot.quat_rotate(orientations[:, parent], self.offsets[:, joint])
-            positions[:, joint] = positions[:, parent] + bone
-            orientations[:, joint] = rot.quat_multiply(
-                orientations[:, parent], self.rotations[:, joint]
-            )
-        return positions, orientations
+        return joint_kinematics(self.root_position, self.rotations, self.offsets)
 
     @staticmethod
     def joined(parts: Sequence[Poses]) -> Poses:

@@ -72,18 +72,7 @@ class Motion:
 
     def forward_kinematics(self) -> tuple[np.ndarray, np.ndarray]:
         """World positions ``(T, 22, 3)`` in metres and orientations ``(T, 22, 4)``."""
-        positions = np.empty((len(self), NUM_JOINTS, 3))
-        orientations = np.empty((len(self), NUM_JOINTS, 4))
-        positions[:, 0] = self.root_position
-        orientations[:, 0] = self.rotations[:, 0]
-        for joint in range(1, NUM_JOINTS):
-            parent = JOINT_PARENTS[joint]
-            turned = rot.quat_rotate(orientations[:, parent], self.offsets[joint])
-            positions[:, joint] = positions[:, parent] + turned
-            orientations[:, joint] = rot.quat_multiply(
-                orientations[:, parent], self.rotations[:, joint]
-            )
-        return positions, orientations
+        return joint_kinematics(self.root_position, self.rotations, self.offsets)
 
     def resampled(self, fps: float) -> Motion:
         """The same motion at another frame rate: linear positions, slerped rotations."""
@@ -120,3 +109,25 @@ def rest_height(offsets: np.ndarray) -> float:
         return height
 
     return z("head") - (z("left_ankle") + z("right_ankle")) / 2.0
+
+
+def joint_kinematics(
+    root_position: np.ndarray, rotations: np.ndarray, offsets: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """World positions ``(T, 22, 3)`` in metres and orientations ``(T, 22, 4)`` of joints.
+
+    Args:
+        root_position: ``(T, 3)`` metres.
+        rotations: ``(T, 22, 4)`` unit quaternions wxyz, each in its parent's frame.
+        offsets: ``(22, 3)``, or ``(T, 22, 3)`` of a body that changes.
+    """
+    frames = len(root_position)
+    positions = np.empty((frames, NUM_JOINTS, 3))
+    orientations = np.empty((frames, NUM_JOINTS, 4))
+    positions[:, 0], orientations[:, 0] = root_position, rotations[:, 0]
+    for joint in range(1, NUM_JOINTS):
+        parent = JOINT_PARENTS[joint]
+        bone = rot.quat_rotate(orientations[:, parent], offsets[..., joint, :])
+        positions[:, joint] = positions[:, parent] + bone
+        orientations[:, joint] = rot.quat_multiply(orientations[:, parent], rotations[:, joint])
+    return positions, orientations
