@@ -338,7 +338,7 @@ def test_one_command_trains_and_scores_the_full_system_and_all_variants(
     (out / "no-skeleton" / "scores.json").unlink()
     trained = []
     monkeypatch.setattr(
-        "agents.comparison.ablations.train", lambda args: trained.append(args.out.name) or 0
+        "agents.comparison.ablations.train_system", lambda args: trained.append(args.out.name) or 0
     )
     for name in FILES:
         (out / name).unlink()
@@ -369,7 +369,7 @@ def test_some_variants_alone_can_be_asked_for_and_the_others_added_later(library
 
 def test_a_stop_during_a_training_leaves_what_can_be_gone_on_with(library, tmp_path, monkeypatch):
     out = tmp_path / "out"
-    monkeypatch.setattr("agents.comparison.ablations.train", lambda args: 130)
+    monkeypatch.setattr("agents.comparison.ablations.train_system", lambda args: 130)
     args = arguments("dragposer", library, out)
     assert ablations(args) == 130
     assert not (out / "ablations.md").exists()
