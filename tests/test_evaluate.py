@@ -11,7 +11,7 @@ import torch
 from helpers import swaying_clip
 
 from agents.agent import Needs, RandomAgent, ZeroAgent
-from agents.evaluation import EvaluateArgs, evaluate, rollout
+from agents.evaluation import EvaluateArgs, evaluate
 from agents.evaluation.follow import evaluation_sim, follow
 from agents.evaluation.rollout import env_config, roll_out
 from agents.loading import load_agent
@@ -78,7 +78,7 @@ def test_short_clip_is_followed_to_its_end_and_a_long_one_until_the_fall(clips):
 
 def test_what_is_rolled_out_does_not_depend_on_the_batch(clips, monkeypatch):
     together = roll_out(ZeroAgent(), clips, START)
-    monkeypatch.setattr(rollout, "BATCH_CLIPS", 1)
+    monkeypatch.setattr("agents.evaluation.rollout.BATCH_CLIPS", 1)
     alone = roll_out(ZeroAgent(), clips, START)
     for a, b in zip(together, alone, strict=True):
         np.testing.assert_array_equal(a.link_position, b.link_position)

@@ -19,7 +19,7 @@ from agents.policy.checkpoint import load_resume
 from agents.policy.policy_agent import PolicyAgent
 from agents.shipping.provenance import commands, options_of, stages_behind
 from agents.shipping.ship import ShipArgs, ship
-from agents.training import train as training
+from agents.training import train_policy as training
 from agents.training.options import TrainArgs
 from agents.training.train_policy import train
 from envs import BatchSim, EnvConfig, Pushes, Randomisation, Terrain

@@ -14,7 +14,7 @@ from helpers import swaying_clip
 from agents.loading import load_agent
 from agents.policy.policy_agent import Tracker
 from agents.shipping.provenance import commands, stages_behind
-from agents.training import train as training
+from agents.training import train_policy as training
 from agents.training.dagger import Dagger
 from agents.training.options import TrainArgs
 from agents.training.ppo import AdaptivePPO

@@ -21,7 +21,7 @@ from agents.policy.checkpoint import CRITIC_FILE, load_resume
 from agents.policy.policy_agent import PolicyAgent
 from agents.policy.spec import SPARSE_BLOCKS, PolicySpec
 from agents.shipping.provenance import stages_behind
-from agents.training import train as training
+from agents.training import train_policy as training
 from agents.training.learner import TrainingError
 from agents.training.monitor import Display, evaluation_figures
 from agents.training.options import TrainArgs
