@@ -12,6 +12,7 @@ import numpy as np
 from envs.objects import WorldObject
 from envs.pushes import Pushes
 from envs.randomisation import Randomisation
+from envs.starts import Starts
 from envs.terrain import Terrain
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M, PRESETS
 from questsim.errors import InputError
@@ -20,7 +21,7 @@ from questsim.sensors import DEVICES, SensorNoise, sensor_set
 
 MAX_FUTURE_FRAMES = 6
 MAX_ERROR_M = 1e6
-SAMPLING = ("uniform", "failure")
+SAMPLING = ("uniform", "failure", "kind")
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,8 @@ class EnvConfig:
             above 0, at most 1e6.
         self_collision: whether the avatar's links collide with each other.
         sampling: ``"uniform"`` over frames, or ``"failure"``: clips and moments that end in
-            falls come more often.
+            falls come more often; or ``"kind"``: so do, beside that, kinds of motion of which there
+            is little.
         noise: imperfections of the devices, drawn once for each clip.
         terrain: the ground; None for a plane. Clips are played at places drawn for each episode,
             and with ``fixed_start`` at the same place every time.
@@ -50,6 +52,7 @@ class EnvConfig:
         pushes: forces on the avatar at random times, None for none.
         objects: objects in its way.
         randomisation: what differs between the simulations of a batch, None for nothing.
+        starts: how episodes begin; None for the reference's own state.
     """
 
     sensors: str = "H+2C"
@@ -69,6 +72,7 @@ class EnvConfig:
     pushes: Pushes | None = None
     objects: tuple[WorldObject, ...] = ()
     randomisation: Randomisation | None = None
+    starts: Starts | None = None
 
     def __post_init__(self) -> None:
         _check_forms(self)
@@ -150,6 +154,7 @@ def _check_forms(config: EnvConfig) -> None:
         ("terrain", Terrain),
         ("pushes", Pushes),
         ("randomisation", Randomisation),
+        ("starts", Starts),
     ):
         check(name, f"None or {kind.__name__}", lambda v, k=kind: v is None or isinstance(v, k))
     check(

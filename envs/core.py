@@ -9,6 +9,7 @@ import logging
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, NamedTuple
 
 import mujoco
@@ -135,7 +136,9 @@ class BatchSim:
         self._ratio = self.heights / DEFAULT_HEIGHT_M
         self._build_batch(num_threads, seed)
         self._streams = Streams(n, seed, 0)
-        self._sampler = Sampler(self.reference, self.config.sampling == "failure")
+        self._sampler = Sampler(
+            self.reference, self.config.sampling != "uniform", self.config.sampling == "kind"
+        )
         self._all = np.arange(n)
         self._floor = np.zeros(n)
         self._around = Surroundings(self.config, self.reference, self._ratio, self.batch, seed)
@@ -327,7 +330,7 @@ class BatchSim:
         self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE.value))
         self._run(self._target_chunk, [(0, len(ids))], ids)
         self._stopped[ids], self._counted[ids] = False, False
-        self._pose(ids, rows)
+        self._pose(ids, rows, clips)
         self._around.begin(ids, rows, clips)
         with self._surviving():
             self.batch.forward(ids, stage=_CURRENT)
@@ -335,8 +338,8 @@ class BatchSim:
         self._previous_force[ids] = 0.0
         self._observe(ids)
 
-    def _pose(self, ids: np.ndarray, rows: np.ndarray) -> None:
-        """Put simulations at rows of the reference, velocities included."""
+    def _pose(self, ids: np.ndarray, rows: np.ndarray, clips: np.ndarray) -> None:
+        """Put simulations at rows of the reference of clips, or where their starts differ."""
         scale = self._ratio[ids, None]
         qpos = self.reference.qpos[rows].astype(float)
         qvel = self.reference.qvel[rows].astype(float)
@@ -344,7 +347,15 @@ class BatchSim:
         qvel[:, :3] *= scale
         if self.placement.field is not None:
             self._put_on_ground(ids, qpos, qvel)
+        self._around.starts.change(ids, clips, qpos, qvel, partial(self._clearance_in, ids))
         self.qpos[ids, :_NUM_POSITIONS], self.qvel[ids, :_NUM_VELOCITIES] = qpos, qvel
+
+    def _clearance_in(self, ids: np.ndarray, qpos: np.ndarray) -> np.ndarray:
+        """Height ``(m,)`` above the ground of the lowest sole point in poses ``(m, 40)``."""
+        self.qpos[ids, :_NUM_POSITIONS] = qpos
+        with self._surviving():
+            self.batch.forward(ids, stage=int(mujoco.mjtStage.mjSTAGE_POS.value))
+        return self._clearance(ids).min(axis=-1)
 
     def _put_on_ground(self, ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
         """Move poses to their places, with their feet on the ground, and no sole below it."""
@@ -353,10 +364,7 @@ class BatchSim:
         qpos[:, 3:7] = rot.quat_multiply(turn_quat(place), qpos[:, 3:7])
         qvel[:, :3] = turned(place, qvel[:, :3])
         qvel[:, 2] += target.rise[ids, 0, 0]
-        self.qpos[ids, :_NUM_POSITIONS] = qpos
-        with self._surviving():
-            self.batch.forward(ids, stage=int(mujoco.mjtStage.mjSTAGE_POS.value))
-        qpos[:, 2] += np.maximum(-self._clearance(ids).min(axis=-1), 0.0)
+        qpos[:, 2] += np.maximum(-self._clearance_in(ids, qpos), 0.0)
 
     def step(self, action: np.ndarray) -> None:
         """Advance 1/36 s under torques ``action * torque_limits``, and score the new state.

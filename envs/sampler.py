@@ -21,10 +21,14 @@ class Sampler:
     Args:
         reference: the clips.
         weighted: whether falls raise a clip's and a moment's chance.
+        by_kind: whether kinds of motion come in proportion to the square root of their frames, so
+            that 20 clips of one kind are not drowned by 400 of another.
         tail: frames at a clip's end in which no episode begins.
     """
 
-    def __init__(self, reference: Reference, weighted: bool, tail: int = 2) -> None:
+    def __init__(
+        self, reference: Reference, weighted: bool, by_kind: bool = False, tail: int = 2
+    ) -> None:
         self._start = reference.start
         self._starts_in_clip = np.maximum(reference.end - reference.start - tail, 1)
         bins = -(-self._starts_in_clip // BIN_FRAMES)
@@ -35,6 +39,11 @@ class Sampler:
         left = self._starts_in_clip[self._clip_of_bin] - self._bin_start
         self._bin_frames = np.minimum(left, BIN_FRAMES)
         self._weighted = weighted
+        self._amount = self._bin_frames.astype(float)
+        if by_kind:
+            _, kind = np.unique(np.array(reference.kinds), return_inverse=True)
+            kind_of_bin = kind[self._clip_of_bin]
+            self._amount /= np.sqrt(np.bincount(kind_of_bin, self._amount))[kind_of_bin]
         self.clip_failure = np.full(len(bins), 0.5)
         self.bin_failure = np.full(len(self._clip_of_bin), 0.5)
         self._cumulative: np.ndarray | None = None
@@ -52,9 +61,9 @@ class Sampler:
     def weights(self) -> np.ndarray:
         """Unnormalised chance of each bin: frames, times how often clip and moment fail."""
         if not self._weighted:
-            return self._bin_frames.astype(float)
+            return self._amount
         clip = _bounded(self.clip_failure)
-        return self._bin_frames * clip[self._clip_of_bin] * _bounded(self.bin_failure)
+        return self._amount * clip[self._clip_of_bin] * _bounded(self.bin_failure)
 
     def record(
         self, clips: np.ndarray, first: np.ndarray, length: np.ndarray, fell: np.ndarray

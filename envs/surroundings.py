@@ -14,6 +14,9 @@ from envs.placement import Placement
 from envs.pushes import Pusher
 from envs.randomisation import SignalFaults
 from envs.reference import Reference
+from envs.starts import Beginnings
+from questsim.body import DEFAULT_HEIGHT_M, build_body
+from questsim.skeleton import NUM_DOFS
 
 
 class Surroundings:
@@ -31,6 +34,7 @@ class Surroundings:
         pusher: forces on the avatars.
         objects: poses of the objects, and the avatar's force on each.
         signals: how late and how silent the devices are.
+        starts: how episodes begin.
     """
 
     def __init__(
@@ -56,6 +60,12 @@ class Surroundings:
         )
         devices = reference.dev_position.shape[1]
         self.signals = SignalFaults(config.randomisation, len(ratio), devices, seed)
+        self.starts = Beginnings(
+            config.starts,
+            EpisodeRandom(names, len(ratio), seed, 4, fixed),
+            DEFAULT_HEIGHT_M * ratio,
+            build_body().model.jnt_range[1 : 1 + NUM_DOFS],
+        )
 
     def begin(self, ids: np.ndarray, rows: np.ndarray, clips: np.ndarray) -> None:
         """Episodes ``ids`` begin at ``rows`` of ``clips``, at places that were drawn before."""
@@ -69,10 +79,11 @@ class Surroundings:
             "pusher": self.pusher,
             "objects": self.objects,
             "signals": self.signals,
+            "starts": self.starts,
         }
 
     def seed(self, seeds: Seeds) -> None:
-        """Begin the streams of places, pushes, objects and silent devices anew."""
+        """Begin the streams of places, pushes, objects, starts and silent devices anew."""
         for part in self._parts().values():
             part.seed(seeds)
 
@@ -83,4 +94,5 @@ class Surroundings:
     def set_state(self, state: dict[str, Any]) -> None:
         """Take up what ``get_state`` gave."""
         for name, part in self._parts().items():
-            part.set_state(state[name])
+            if name in state:  # earlier versions had no starts
+                part.set_state(state[name])

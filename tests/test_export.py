@@ -51,7 +51,10 @@ CLIPS = [turned_clip(height, yaw) for height, yaw in zip(HEIGHTS_M, YAWS_RAD, st
 def agent_for(config: EnvConfig, **changes) -> PolicyAgent:
     """A policy whose torques depend strongly on everything it sees."""
     torch.manual_seed(1)
-    spec = PolicySpec(**{"critic_blocks": (), "hidden": (64, 32), "activation": "elu"} | changes)
+    shape = {"critic_blocks": (), "hidden": (64, 32), "activation": "elu"}
+    if changes.get("torque_head", True) and config.body_preset == "default":
+        shape["balance"] = "feet"
+    spec = PolicySpec(**shape | changes)
     layout = Layout.of(observation_layout(config)).within(spec.actor_blocks)
     policy = new_policy(spec, layout, gains=np.linspace(0.2, 2.0, NUM_DOFS))
     norm = policy.actor.norm

@@ -91,6 +91,39 @@ def test_the_step_of_an_update_shrinks_over_the_budget():
         assert ppo.desired_kl == pytest.approx(expected)
 
 
+def test_the_first_update_keeps_to_its_kl_divergence_whatever_the_learning_rate():
+    for rate in (3e-5, 3e-3):
+        ppo = small_ppo(FakeVecEnv(16), learning_rate=rate, desired_kl=0.03)
+        ppo.iterate(nothing, 0.0)
+        figures = ppo.iterate(nothing, 0.0)
+        assert 0.0 < figures["train/kl"] < 0.1
+        assert ppo.actor_rate <= 2.0 * rate
+
+
+def test_an_update_ends_when_its_kl_divergence_is_spent():
+    ppo = small_ppo(FakeVecEnv(16), desired_kl=0.03)
+    ppo.iterate(nothing, 0.0)
+    ppo.iterate(nothing, 0.0)
+    ppo.actor_rate = 3e-3
+    figures = ppo.iterate(nothing, 0.0)
+    assert figures["train/steps_made"] < 1.0
+    assert figures["train/kl"] > 0.03
+    assert ppo.actor_rate == 1.5e-3
+
+
+def test_the_trial_step_leaves_policy_and_optimiser_as_they_were():
+    ppo = small_ppo(FakeVecEnv(8), desired_kl=0.03)
+    ppo.iterate(nothing, 0.0)
+    ppo.collect_rollouts(ppo.env, ppo._observer, ppo.rollout_buffer, ppo.n_steps)  # type: ignore[arg-type]
+    before = [p.detach().clone() for p in ppo.policy.actor_parameters()]
+    targets = ppo.rollout_buffer.learning_targets()
+    orders = ppo.rollout_buffer.orders(64, 1, ppo.generator)
+    parts = ppo.policy.action_inputs(ppo.rollout_buffer.flat_observations())
+    ppo._measure_rate(targets, orders, parts)
+    assert all(map(torch.equal, before, ppo.policy.actor_parameters()))
+    assert not ppo.policy.optimizer.state_dict()["state"]
+
+
 def test_kl_is_that_of_normal_distributions():
     means, stds = torch.randn(2, 5, 3), torch.rand(2, 3) + 0.1
     p, q = (torch.distributions.Normal(m, s) for m, s in zip(means, stds, strict=True))

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from agents.agent import Agent
 from agents.licence import licence_of
 from agents.policy.checkpoint import find_policy, load_policy
-from agents.policy.networks import TorquePolicy
+from agents.policy.networks import TorquePolicy, with_head
 from agents.policy.observation_module import SparseObservation
 from agents.policy.policy_agent import PolicyAgent
 from agents.policy.spec import SPARSE_BLOCKS
@@ -72,9 +72,8 @@ class TorqueController(nn.Module):
     def forward(self, *state: Tensor) -> Tensor:
         """Torques ``(n, 33)`` in N m for the arguments of ``SparseObservation.forward``."""
         obs, height_m = self.observation(*state), state[-1]
-        action = self.actor(obs)
-        if self.head is not None:
-            action = action + self.head(*self.head.terms(obs))
+        terms = () if self.head is None else self.head.terms(obs)
+        action = with_head(self.actor(obs), self.head, terms)
         strength = (height_m / DEFAULT_HEIGHT_M) ** self.torque_power
         return action.clamp(-1.0, 1.0) * self.torque_limits * strength
 

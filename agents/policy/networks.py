@@ -13,8 +13,10 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.type_aliases import Schedule
 from torch import Tensor, nn
 
+from agents.policy.balance import PUSHES, Balance
 from agents.policy.spec import JOINT_BLOCK, REFERENCE_BLOCK, TORQUE_BLOCK, Layout, PolicySpec
 from agents.precision import native_bfloat16
+from questsim.skeleton import NUM_DOFS
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "elu": nn.ELU, "silu": nn.SiLU}
 
@@ -23,6 +25,9 @@ CLIP = 10.0
 
 MIN_STD = 0.01
 """Floor of the standard deviation: a constant input (one height only) must not be blown up."""
+
+PUSH_SCALE = 10.0
+"""Accelerations that a network asks for are of this order, in m/s^2; other outputs are of 1."""
 
 
 class RunningNorm(nn.Module):
@@ -117,21 +122,30 @@ def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:
 
 
 class TorqueHead(nn.Module):
-    """gain * (q_ref - q) + tau_ref: the stiffness of the joints, as part of the torque policy.
+    """gain * (q_ref - q) + tau_ref + balance: what the torque policy does before it learns.
 
     ``tau_ref`` is what the reference motion takes by inverse dynamics; without a reference it and
-    ``q_ref`` are zero. The action is still one torque a joint, held for one step; the gains are
+    ``q_ref`` are zero. ``balance``, if the policy has it, acts on the centre of mass through the
+    legs (``balance.py``). The action is still one torque a joint, held for one step; the gains are
     trained with the network and stay positive.
+
+    Args:
+        gains: ``(33,)`` start values, action per radian.
+        layout: the observation's blocks.
+        spec: of the policy.
     """
 
     joint_columns: Tensor
     reference_columns: Tensor | None
     torque_columns: Tensor | None
 
-    def __init__(self, gains: np.ndarray, layout: Layout, reference: bool) -> None:
+    def __init__(self, gains: np.ndarray, layout: Layout, spec: PolicySpec) -> None:
         super().__init__()
         self.log_gain = nn.Parameter(torch.as_tensor(np.log(gains), dtype=torch.float32))
-        self.reference = reference
+        self.reference = spec.reference_head
+        self.balance = (
+            None if spec.balance == "none" else Balance(layout, spec.balance == "reference")
+        )
         for name in ("joint_columns", "reference_columns", "torque_columns"):
             self.register_buffer(name, None, persistent=False)
         self.use_layout(layout)
@@ -142,29 +156,55 @@ class TorqueHead(nn.Module):
         if self.reference:
             self.reference_columns = torch.as_tensor(layout.columns((REFERENCE_BLOCK,)))
             self.torque_columns = torch.as_tensor(layout.columns((TORQUE_BLOCK,)))
+        if self.balance is not None:
+            self.balance.use_layout(layout)
 
-    def terms(self, obs: Tensor) -> tuple[Tensor, Tensor]:
-        """What of observations ``(n, D)`` the head needs: q_ref - q in radians, and tau_ref.
+    def terms(self, obs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """What of observations ``(n, D)`` the head needs.
 
-        Both are ``(n, 33)``, tau_ref ``(n, 0)`` without a reference.
+        Returns:
+            q_ref - q in radians ``(n, 33)``; tau_ref ``(n, 33)``, or ``(n, 0)`` without a
+            reference; and the terms of ``Balance``, or ``(n, 0)`` without it.
         """
-        error = -obs.index_select(1, self.joint_columns)
+        error, none = -obs.index_select(1, self.joint_columns), obs[:, :0]
+        balance = none if self.balance is None else self.balance.terms(obs)
         if self.reference_columns is None or self.torque_columns is None:
-            return error, obs[:, :0]
+            return error, none, balance
         error = error + obs.index_select(1, self.reference_columns)
-        return error, obs.index_select(1, self.torque_columns)
+        return error, obs.index_select(1, self.torque_columns), balance
 
-    def forward(self, error: Tensor, torque: Tensor) -> Tensor:
-        """The head's part of the action ``(n, 33)`` for rows of ``terms``."""
+    def forward(
+        self, error: Tensor, torque: Tensor, balance: Tensor, push: Tensor | None = None
+    ) -> Tensor:
+        """The head's part of the action ``(n, 33)`` for rows of ``terms``.
+
+        Args:
+            error, torque, balance: see ``terms``.
+            push: ``(n, 3)`` what the network adds to the balance's acceleration, m/s^2.
+        """
         action = self.log_gain.exp() * error
-        return action + torque if torque.shape[1] else action
+        if torque.shape[1]:
+            action = action + torque
+        return action if self.balance is None else action + self.balance(balance, push)
+
+
+def with_head(outputs: Tensor, head: TorqueHead | None, terms: tuple[Tensor, ...]) -> Tensor:
+    """Mean action ``(n, 33)`` of an actor's outputs and a head's ``terms``.
+
+    Of 36 outputs the last three are an acceleration for ``Balance``, in units of ``PUSH_SCALE``.
+    """
+    if head is None:
+        return outputs
+    if outputs.shape[1] == NUM_DOFS:
+        return outputs + head(*terms)
+    return outputs[:, :NUM_DOFS] + head(*terms, PUSH_SCALE * outputs[:, NUM_DOFS:])
 
 
 class TorquePolicy(ActorCriticPolicy):
     """Gaussian policy over torques in [-1, 1], for stable-baselines3's on-policy algorithms.
 
-    The mean is ``actor(o) + gain * (q_ref - q) + tau_ref``; it is not squashed, the environment
-    clips it.
+    The mean is ``actor(o) + gain * (q_ref - q) + tau_ref + balance``; it is not squashed, the
+    environment clips it.
 
     Args:
         observation_space: box of shape ``(D,)``.
@@ -212,17 +252,14 @@ class TorquePolicy(ActorCriticPolicy):
         actions = self.action_space.shape[0]
         # The small last layer makes the head (or rest) the first policy, whatever is observed.
         actor_columns = self.layout.columns(spec.actor_blocks)
-        self.actor = Network(actor_columns, spec, actions, output_gain=0.01)
+        outputs = actions + (PUSHES if spec.balance == "feet" else 0)
+        self.actor = Network(actor_columns, spec, outputs, output_gain=0.01)
         self.critic = (
             Network(self.layout.columns(spec.critic_blocks), spec, 1, output_gain=0.01)
             if spec.critic_blocks
             else None
         )
-        self.head = (
-            TorqueHead(settings["gains"], self.layout, spec.reference_head)
-            if spec.torque_head
-            else None
-        )
+        self.head = TorqueHead(settings["gains"], self.layout, spec) if spec.torque_head else None
         noise = np.broadcast_to(settings["noise"], (actions,))
         self.log_std = nn.Parameter(
             torch.as_tensor(np.log(noise), dtype=torch.float32),
@@ -246,16 +283,14 @@ class TorquePolicy(ActorCriticPolicy):
         """Mean action ``(n, 33)``, not clipped, for observations ``(n, D)``."""
         return self.action_mean_of(*self.action_inputs(obs))
 
-    def action_inputs(self, obs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def action_inputs(self, obs: Tensor) -> tuple[Tensor, ...]:
         """What the mean action depends on: the actor's inputs and the terms of the head."""
-        none = obs[:, :0]
-        error, torque = (none, none) if self.head is None else self.head.terms(obs)
-        return self.actor.inputs(obs), error, torque
+        terms = () if self.head is None else self.head.terms(obs)
+        return self.actor.inputs(obs), *terms
 
-    def action_mean_of(self, inputs: Tensor, error: Tensor, torque: Tensor) -> Tensor:
+    def action_mean_of(self, inputs: Tensor, *terms: Tensor) -> Tensor:
         """Mean action ``(n, 33)`` for rows of what ``action_inputs`` gave."""
-        mean = self.actor.of_inputs(inputs)
-        return mean if self.head is None else mean + self.head(error, torque)
+        return with_head(self.actor.of_inputs(inputs), self.head, terms)
 
     def predict_values(self, obs: Tensor) -> Tensor:  # type: ignore[override]
         """Value ``(n, 1)`` of observations ``(n, D)``; zeros for a policy without critic."""

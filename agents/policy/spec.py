@@ -21,6 +21,8 @@ JOINT_BLOCK, REFERENCE_BLOCK = "joint_angles", "midway_joint_angles"
 TORQUE_BLOCK = "reference_torques"
 """The block that a torque head around the reference adds as it is."""
 
+BALANCE: tuple[str, ...] = ("none", "reference", "feet")
+
 # Exploration noise by joint: large where torques are large and mistakes are survived, small where
 # a light limb would only tremble (feasibility: 0.12 for legs and trunk, 0.04 for arms and neck).
 LEG_AND_TRUNK_JOINTS = ("hip", "knee", "ankle", "spine", "chest")
@@ -44,6 +46,9 @@ class PolicySpec:
         torque_head: whether to add the proportional term to the actor's output.
         reference_head: whether the proportional term is around the reference pose and comes on top
             of the torques that the motion takes (else it is around the zero pose).
+        balance: feedback of the centre of mass through the standing legs as a term of the head,
+            see ``balance.py``: towards the ``reference``, towards a place midway between the
+            ``feet`` (and what the network adds to that), or ``none``.
     """
 
     actor_blocks: tuple[str, ...] = SPARSE_BLOCKS
@@ -52,6 +57,13 @@ class PolicySpec:
     activation: str = "tanh"
     torque_head: bool = True
     reference_head: bool = False
+    balance: str = "none"
+
+    def __post_init__(self) -> None:
+        if self.balance not in BALANCE:
+            raise InputError(f"balance is {self.balance!r}, not one of {BALANCE}", "PolicySpec")
+        if self.balance != "none" and not self.torque_head:
+            raise InputError("balance is a term of the torque head", "PolicySpec", "add the head")
 
 
 @dataclass(frozen=True)

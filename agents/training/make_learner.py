@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from torch import Tensor
 
+from agents.policy.balance import PUSHES
 from agents.policy.checkpoint import find_policy, find_teacher, load_critic, load_policy
 from agents.policy.networks import TorquePolicy
 from agents.policy.policy_agent import new_policy
@@ -18,7 +20,7 @@ from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PPOConfig, StageConfig
 from envs import QuestVecEnv
 from questsim.errors import InputError
-from questsim.skeleton import DOFS
+from questsim.skeleton import DOFS, NUM_DOFS
 
 if TYPE_CHECKING:
     from agents.training.options import TrainArgs
@@ -103,7 +105,7 @@ def _student(
         copy_actor(_starting_policy(args.start, env), student, args.start)
     elif student.head is not None and teacher.policy.head is not None:
         # The stiffness that the teacher found is a good start for what imitates it.
-        student.head.load_state_dict(teacher.policy.head.state_dict())
+        student.head.load_state_dict(teacher.policy.head.state_dict(), strict=False)
     student.log_std.data.copy_(teacher.policy.log_std.data)
     return Dagger(env, teacher, student, learning, seed, args.threads)
 
@@ -137,10 +139,25 @@ def copy_actor(source: TorquePolicy, target: TorquePolicy, where: Path) -> None:
         InputError: if their networks differ.
     """
     state = {k: v for k, v in source.state_dict().items() if not k.startswith("critic.")}
+    fresh = ["critic."]
+    if source.spec.balance == "none":  # of a generation without it: its gains begin anew
+        fresh.append("head.balance.")
+        _widen(state, target)
     try:
         missing, unexpected = target.load_state_dict(state, strict=False)
-        fits = not unexpected and all(name.startswith("critic.") for name in missing)
+        fits = not unexpected and all(name.startswith(tuple(fresh)) for name in missing)
     except RuntimeError:  # of another shape
         fits = False
     if not fits:
         raise InputError("its networks do not fit this preset's", where, "see --start")
+
+
+def _widen(state: dict[str, Tensor], target: TorquePolicy) -> None:
+    """Give an actor of 33 outputs the three that a target with balance has beside them: zeros."""
+    if target.spec.balance != "feet":
+        return
+    last = f"actor.layers.{len(target.actor.layers) - 1}."
+    for name in (last + "weight", last + "bias"):
+        if name in state and len(state[name]) == NUM_DOFS:
+            rows = state[name].new_zeros(PUSHES, *state[name].shape[1:])
+            state[name] = torch.cat([state[name], rows])

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from envs.randomisation import Randomisation
+from envs.starts import Starts
 
 Pick = Literal["cpu", "paper", "smoke"]
 """Names of presets."""
@@ -57,8 +58,12 @@ class TrainArgs:
     """Things on the clips' paths, to stumble over and to kick: ball, box, hurdle, chair."""
     randomisation: Randomisation = field(default_factory=Randomisation)
     """What differs between the simulations."""
+    starts: Starts = field(default_factory=Starts)
+    """How episodes begin; by default in the motion's own state."""
     hold_out: str = ""
     """Styles, joined by commas, that are not learnt from but evaluated on."""
+    validation: str | None = None
+    """Motions on which checkpoints are compared, as --motions; by default some of those learnt."""
     envs: int | None = None
     """Simulations in the batch, by default the preset's."""
     threads: int = 2

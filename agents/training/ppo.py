@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from functools import partial
 from typing import Any
 
@@ -18,16 +19,20 @@ from agents.training.buffers import Targets, TensorRolloutBuffer
 from agents.training.learner import StepObserver, TrainingError
 from agents.training.workers import Workers
 
-LEARNING_RATE_RANGE = (1e-5, 3e-3)
+LEARNING_RATE_RANGE = (1e-6, 3e-3)
+SPENT = 1.5
+"""An update ends when its KL divergence has come to this multiple of what is desired."""
 
 
 class AdaptivePPO(PPO):
     """Proximal policy optimisation (Schulman et al. 2017), fast on few cores.
 
-    It differs from stable-baselines3's PPO in four ways: values are computed once a rollout, in one
+    It differs from stable-baselines3's PPO in five ways: values are computed once a rollout, in one
     batch, and so are those of truncated episodes; the rollout stays in torch tensors; the learning
-    rate follows the KL divergence of the update (as in rsl_rl); the observation normaliser of the
-    policy is updated after each update. The first rollout only measures the observations.
+    rate follows the KL divergence of the update (as in rsl_rl), begins where a trial step of the
+    first update puts it, and an update ends when its KL divergence is spent; the observation
+    normaliser of the policy is updated after each update. The first rollout only measures the
+    observations.
 
     Args:
         policy: ``TorquePolicy``, and its ``policy_kwargs``.
@@ -67,6 +72,7 @@ class AdaptivePPO(PPO):
         )
         self.policy.use_bfloat16(bfloat16)
         self.actor_rate = float(self.lr_schedule(1))
+        self._rate_is_measured = desired_kl is None
         self._observer: _Observer | None = None
         self.generator = torch.Generator().manual_seed(self.seed or 0)
         self._workers = Workers(threads)
@@ -156,8 +162,11 @@ class AdaptivePPO(PPO):
             partial(self._learn_actions, targets, orders),
         )
         self._n_updates += self.n_epochs
-        self._adapt_rate(figures[1])
-        for name, figure in zip(("policy_loss", "kl", "clip_fraction"), figures, strict=True):
+        if not self.actor_frozen:
+            # As if all steps had been made: those of the next update are as long.
+            self._adapt_rate(figures[1] / figures[3])
+        names = ("policy_loss", "kl", "clip_fraction", "steps_made")
+        for name, figure in zip(names, figures, strict=True):
             record(f"train/{name}", figure)
         record("train/value_loss", value_loss[0])
         record("train/learning_rate", self.actor_rate)
@@ -167,30 +176,72 @@ class AdaptivePPO(PPO):
         """Clipped policy gradient (Schulman et al. 2017, eq. 7).
 
         Returns:
-            Policy loss of all steps; KL divergence and share of clipped ratios of the last epoch.
+            Policy loss of all steps; KL divergence and share of clipped ratios of the last epoch;
+            share of the steps that were made before the KL divergence was spent.
         """
         policy, clip = self.policy, float(self.clip_range(1))  # type: ignore[operator]
+        if self.actor_frozen:
+            return 0.0, 0.0, 0.0, 0.0
         parts = policy.action_inputs(self.rollout_buffer.flat_observations())
         old_log_std = policy.log_std.detach().clone()
-        policy.optimizer.param_groups[0]["lr"] = 0.0 if self.actor_frozen else self.actor_rate
-        last_epoch = len(orders) - len(orders) // self.n_epochs
-        total, last = torch.zeros(()), torch.zeros(2)
+        if not self._rate_is_measured:
+            self._measure_rate(targets, orders, parts)
+        policy.optimizer.param_groups[0]["lr"] = self.actor_rate
+        per_epoch = len(orders) // self.n_epochs
+        total, recent = torch.zeros(()), []
         for i, rows in enumerate(orders):
             mean = policy.action_mean_of(*(part[rows] for part in parts))
-            log_ratio = policy.log_prob(mean, targets.actions[rows]) - targets.log_probs[rows]
-            ratio, advantages = log_ratio.exp(), targets.advantages[rows]
-            gain = torch.minimum(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages)
-            loss = -gain.mean()
-            if self.ent_coef:
-                loss = loss - self.ent_coef * policy.log_std.sum()
-            self._descend(loss, policy.optimizer)
             with torch.no_grad():
-                total += loss
-                if i >= last_epoch:
-                    kl = _gaussian_kl(targets.means[rows], old_log_std, mean, policy.log_std)
-                    clipped = ((ratio - 1).abs() > clip).float().mean()
-                    last += torch.stack((kl, clipped)) * (len(rows) / len(targets.returns))
-        return (total.item() / len(orders), *last.tolist())
+                kl = _gaussian_kl(targets.means[rows], old_log_std, mean, policy.log_std).item()
+            if i and self.desired_kl is not None and kl > SPENT * self.desired_kl:
+                return total.item() / i, kl, _clipped(recent), i / len(orders)
+            loss, clipped = self._surrogate(mean, rows, targets, clip)
+            self._descend(loss, policy.optimizer)
+            total += loss.detach()
+            recent = [*recent, (kl, clipped.item())][-per_epoch:]
+        kl = sum(kl for kl, _ in recent) / len(recent)
+        return total.item() / len(orders), kl, _clipped(recent), 1.0
+
+    def _surrogate(
+        self, mean: Tensor, rows: Tensor, targets: Targets, clip: float
+    ) -> tuple[Tensor, Tensor]:
+        """Loss of a minibatch, and the share of its ratios that are clipped."""
+        policy = self.policy
+        log_ratio = policy.log_prob(mean, targets.actions[rows]) - targets.log_probs[rows]
+        ratio, advantages = log_ratio.exp(), targets.advantages[rows]
+        gain = torch.minimum(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages)
+        loss = -gain.mean()
+        if self.ent_coef:
+            loss = loss - self.ent_coef * policy.log_std.sum()
+        return loss, ((ratio.detach() - 1).abs() > clip).float().mean()
+
+    def _measure_rate(
+        self, targets: Targets, orders: list[Tensor], parts: tuple[Tensor, ...]
+    ) -> None:
+        """Choose the first learning rate by a trial step, which is then undone.
+
+        A step's KL divergence grows with the square of its length. Steps of an update partly
+        agree in direction, so n of them come to between n and n^2 times that of one.
+        """
+        policy, optimizer = self.policy, self.policy.optimizer
+        assert self.desired_kl is not None
+        before = [parameter.detach().clone() for parameter in policy.actor_parameters()]
+        memory, rows = deepcopy(optimizer.state_dict()), orders[0]
+        chosen = tuple(part[rows] for part in parts)
+        optimizer.param_groups[0]["lr"] = self.actor_rate
+        old = policy.action_mean_of(*chosen)
+        old_mean, old_log_std = old.detach(), policy.log_std.detach().clone()
+        self._descend(self._surrogate(old, rows, targets, 1.0)[0], optimizer)
+        with torch.no_grad():
+            new = policy.action_mean_of(*chosen)
+            kl = _gaussian_kl(old_mean, old_log_std, new, policy.log_std).item()
+            for parameter, value in zip(policy.actor_parameters(), before, strict=True):
+                parameter.copy_(value)
+        optimizer.load_state_dict(memory)
+        aim = self.desired_kl / len(orders) ** 1.5
+        longer = float(np.sqrt(aim / max(kl, 1e-12)))
+        self.actor_rate = float(np.clip(self.actor_rate * min(longer, 1.0), *LEARNING_RATE_RANGE))
+        self._rate_is_measured = True
 
     def _learn_values(self, targets: Targets, orders: list[Tensor]) -> tuple[float, ...]:
         """Squared error of the values; returns its mean over all steps."""
@@ -257,6 +308,7 @@ class AdaptivePPO(PPO):
             "critic_optimizer": critic.state_dict() if critic is not None else {},
             "generator": self.generator.get_state(),
             "actor_rate": self.actor_rate,
+            "rate_is_measured": self._rate_is_measured,
             "updates": self._n_updates,
         }
 
@@ -269,6 +321,7 @@ class AdaptivePPO(PPO):
             self.policy.critic_optimizer.load_state_dict(state["critic_optimizer"])
         self.generator.set_state(state["generator"])
         self.actor_rate = state["actor_rate"]
+        self._rate_is_measured = state.get("rate_is_measured", True)
 
     def _adapt_rate(self, kl: float) -> None:
         """Halve or double the learning rate when the update went too far or not far enough."""
@@ -295,6 +348,10 @@ class _Observer(BaseCallback):
     def _on_step(self) -> bool:
         self.observe(self.locals["rewards"], self.locals["dones"], self.locals["infos"])
         return True
+
+
+def _clipped(recent: list[tuple[float, float]]) -> float:
+    return sum(clipped for _, clipped in recent) / max(len(recent), 1)
 
 
 def _gaussian_kl(mean0: Tensor, log_std0: Tensor, mean1: Tensor, log_std1: Tensor) -> Tensor:

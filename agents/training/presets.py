@@ -102,10 +102,18 @@ class Preset:
 
 
 TEACHER = PolicySpec(
-    actor_blocks=TRACKER_BLOCKS, critic_blocks=TRACKER_BLOCKS, activation="elu", reference_head=True
+    actor_blocks=TRACKER_BLOCKS,
+    critic_blocks=TRACKER_BLOCKS,
+    activation="elu",
+    reference_head=True,
+    balance="reference",
 )
 STUDENT = PolicySpec(
-    actor_blocks=SPARSE_BLOCKS, critic_blocks=(), hidden=(512, 400, 300), activation="elu"
+    actor_blocks=SPARSE_BLOCKS,
+    critic_blocks=(),
+    hidden=(512, 400, 300),
+    activation="elu",
+    balance="feet",
 )
 SHOWN_ESTIMATES = replace(TEACHER, critic_blocks=())
 """A student that follows what kinematic systems make of the devices; as large as a teacher."""
@@ -115,6 +123,7 @@ FINETUNED = PolicySpec(
     critic_blocks=(*SPARSE_BLOCKS, "privileged"),
     hidden=STUDENT.hidden,
     activation="elu",
+    balance="feet",
 )
 
 TRACKING_REWARD = RewardConfig(
@@ -144,6 +153,7 @@ CPU = Preset(
                 final_kl=0.015,
                 noise_legs_and_trunk=0.08,
                 noise_arms_and_neck=0.03,
+                critic_warmup_steps=20_000,
             ),
             reward=TRACKING_REWARD,
             max_error_m=0.2,
@@ -213,14 +223,17 @@ SMOKE = Preset(
                 hidden=(128, 128),
                 activation="elu",
                 reference_head=True,
+                balance="reference",
             ),
-            learning=PPOConfig(minibatch=256),
+            learning=PPOConfig(minibatch=256, critic_warmup_steps=8_000),
             steps=80_000,
             evaluate_every=40_000,
         ),
         "student": StageConfig(
             share=0.4,
-            policy=PolicySpec(critic_blocks=(), hidden=(128, 128), activation="elu"),
+            policy=PolicySpec(
+                critic_blocks=(), hidden=(128, 128), activation="elu", balance="feet"
+            ),
             learning=DaggerConfig(minibatch=512, capacity=60_000, mix_steps=20_000),
             steps=50_000,
             evaluate_every=25_000,

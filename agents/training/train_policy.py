@@ -37,6 +37,7 @@ from envs.config import EnvConfig
 from envs.objects import objects_named
 from envs.pushes import Pushes
 from envs.randomisation import Randomisation
+from envs.starts import Starts
 from envs.terrain import terrain_named
 from questsim.errors import INTERRUPTED, InputError, at_least
 from questsim.motion.clip import Clip
@@ -207,6 +208,8 @@ def _run_stage(
         config = shown_estimates(name, config)
     env_config = _env_config(args, preset, config)
     learnt, validation = split_validation(clips, args.hold_out, preset.validation_clips)
+    if args.validation is not None:
+        validation = _validation(args, preset)
     # Each stage has its own stream of random numbers, whether it runs alone or after another.
     seed = args.seed + 1000 * list(preset.stages).index(name)
     torch.manual_seed(seed)
@@ -270,6 +273,7 @@ def _env_config(args: TrainArgs, preset: Preset, config: StageConfig) -> EnvConf
         pushes=None if args.pushes is None else Pushes(args.pushes, pause_s=_PAUSE_S),
         objects=objects_named(args.objects, "--objects"),
         randomisation=None if args.randomisation == Randomisation() else args.randomisation,
+        starts=None if args.starts == Starts() else args.starts,
     )
 
 
@@ -296,6 +300,21 @@ def split_validation(
         raise InputError("nothing is left to learn", "--hold-out")
     held = [clip for clip in clips if clip.style in styles]
     return learnt, choose_clips(held or learnt, count)
+
+
+def _validation(args: TrainArgs, preset: Preset) -> list[Clip]:
+    """The clips of ``--validation``, at most as many as the preset compares checkpoints on.
+
+    Raises:
+        InputError: it cannot be had together with another option.
+    """
+    from questsim.motion.spec import load_motions
+
+    assert args.validation is not None
+    for option, given in (("--hold-out", args.hold_out), ("--estimates", args.estimates)):
+        if given:
+            raise InputError(f"does not go with {option}", "--validation", "leave one out")
+    return choose_clips(load_motions(args.validation, seed=args.seed), preset.validation_clips)
 
 
 def _budget(name: str, args: TrainArgs, preset: Preset) -> Budget:

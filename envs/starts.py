@@ -1,0 +1,167 @@
+"""How episodes begin when it is not in the reference's own state.
+
+A user's whole-body state is never known, and an avatar that was pushed or stumbled is somewhere
+else: so episodes may begin standing at rest, or disturbed, as far off as is worth catching.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from envs.episode_random import EpisodeRandom, Seeds
+from envs.pushes import check_range
+from questsim import rotations as rot
+from questsim.errors import InputError
+from questsim.skeleton import NUM_DOFS
+
+_CENTRE_M = 0.55
+"""Height of the centre of mass over stature: a lean of 1 rad moves it by this."""
+_NUMBERS = 8 + NUM_DOFS
+
+
+@dataclass(frozen=True)
+class Starts:
+    """Shares of the episodes that begin otherwise than the reference, and by how much.
+
+    Attributes:
+        standing: share that begins upright, arms hanging, at rest, where the reference is.
+        disturbed: share that begins in the reference's pose with the errors below, each drawn
+            evenly up to its greatest value, in any direction.
+        lean_m: the avatar leans as a whole so far that its centre of mass is off by this, ...
+        speed_m_s: ... and topples with this speed of its centre of mass.
+        place_m: horizontal error of place.
+        lift_m: height above the ground.
+        joints_rad: error of every joint angle.
+
+    Raises:
+        InputError: shares that are none, or an error that is negative or beyond its greatest.
+    """
+
+    standing: float = 0.0
+    disturbed: float = 0.0
+    lean_m: float = 0.1
+    speed_m_s: float = 0.6
+    place_m: float = 0.05
+    lift_m: float = 0.02
+    joints_rad: float = 0.1
+
+    def __post_init__(self) -> None:
+        check_range("shares", (0.0, self.standing), 0.0, 1.0, "starts.standing")
+        check_range("shares", (0.0, self.disturbed), 0.0, 1.0, "starts.disturbed")
+        if self.standing + self.disturbed > 1.0:
+            total = self.standing + self.disturbed
+            raise InputError(f"standing and disturbed come to {total:g}", "starts", "at most 1")
+        for name, most in (
+            ("lean_m", 0.5),
+            ("speed_m_s", 3.0),
+            ("place_m", 0.5),
+            ("lift_m", 0.5),
+            ("joints_rad", 1.0),
+        ):
+            check_range(name, (0.0, getattr(self, name)), 0.0, most, f"starts.{name}")
+
+
+class Beginnings:
+    """Changes the poses in which episodes of a batch begin.
+
+    Args:
+        options: None for the reference's own state.
+        random: numbers to draw from.
+        heights: ``(n,)`` statures in metres.
+        joint_range: ``(33, 2)`` of the hinges in rad.
+    """
+
+    def __init__(
+        self,
+        options: Starts | None,
+        random: EpisodeRandom,
+        heights: np.ndarray,
+        joint_range: np.ndarray,
+    ) -> None:
+        self._options, self._random, self._heights = options, random, heights
+        self._range = joint_range
+
+    def change(
+        self,
+        ids: np.ndarray,
+        clips: np.ndarray,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        clearance: Callable[[np.ndarray], np.ndarray],
+    ) -> None:
+        """Change states in place: ``qpos (m, 40)`` and ``qvel (m, 39)`` of simulations ``ids``.
+
+        Args:
+            ids, clips: ``(m,)`` simulations, and the clip that each begins.
+            qpos, qvel: in the reference's state, in the world.
+            clearance: the height ``(m,)`` of the lowest sole point above the ground in poses
+                ``(m, 40)`` of simulations ``ids``.
+        """
+        options = self._options
+        if options is None or options.standing + options.disturbed == 0.0 or len(ids) == 0:
+            return
+        numbers = self._random.draw(ids, clips, _NUMBERS)
+        standing = numbers[:, 0] < options.standing
+        disturbed = ~standing & (numbers[:, 0] < options.standing + options.disturbed)
+        qpos[standing, 3:7] = rot.yaw_quat(rot.heading(qpos[standing, 3:7]))
+        qpos[standing, 7:], qvel[standing] = 0.0, 0.0
+        self._disturb(disturbed, numbers[disturbed], self._heights[ids], qpos, qvel)
+        above = clearance(qpos)
+        lift = np.where(disturbed, options.lift_m * numbers[:, 7], 0.0)
+        # Somebody who stands does so on the ground; who is disturbed has no foot in it.
+        below = np.where(disturbed, np.minimum(above, 0.0), above)
+        changed = standing | disturbed
+        qpos[changed, 2] += (lift - below)[changed]
+
+    def _disturb(
+        self,
+        which: np.ndarray,
+        numbers: np.ndarray,
+        heights: np.ndarray,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+    ) -> None:
+        """Lean, topple, shift and bend the avatars ``which`` ``(m,)`` bool."""
+        options = self._options
+        assert options is not None
+        centre_m = _CENTRE_M * heights[which]
+        lean = _direction(numbers[:, 1]) * (options.lean_m * numbers[:, 2] / centre_m)[:, None]
+        spin = _direction(numbers[:, 3]) * (options.speed_m_s * numbers[:, 4] / centre_m)[:, None]
+        place = _direction(numbers[:, 5]) * (options.place_m * numbers[:, 6])[:, None]
+        # The avatar turns about the point of the ground below its root.
+        arm = np.zeros((len(numbers), 3))
+        arm[:, 2] = qpos[which, 2]
+        turn = rot.as_quat(Rotation.from_rotvec(lean))
+        qpos[which, 3:7] = rot.quat_multiply(turn, qpos[which, 3:7])
+        qpos[which, :3] += np.cross(lean, arm) + place
+        qvel[which, :3] += np.cross(spin, arm)
+        inverse = rot.quat_conjugate(qpos[which, 3:7])
+        qvel[which, 3:6] += rot.as_rotation(inverse).apply(spin)
+        error = options.joints_rad * (2.0 * numbers[:, 8:] - 1.0)
+        # A joint that the reference has beyond its range stays there.
+        low = np.minimum(self._range[:, 0], qpos[which, 7:])
+        high = np.maximum(self._range[:, 1], qpos[which, 7:])
+        qpos[which, 7:] = np.clip(qpos[which, 7:] + error, low, high)
+
+    def seed(self, seeds: Seeds) -> None:
+        """Begin the streams of numbers anew."""
+        self._random.seed(seeds)
+
+    def get_state(self) -> Any:
+        """Where the stream of numbers stands."""
+        return self._random.get_state()
+
+    def set_state(self, state: Any) -> None:
+        """Take up what ``get_state`` gave."""
+        self._random.set_state(state)
+
+
+def _direction(numbers: np.ndarray) -> np.ndarray:
+    """Horizontal unit vectors ``(m, 3)`` for numbers in [0, 1)."""
+    angle = 2.0 * np.pi * numbers
+    return np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)

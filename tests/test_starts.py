@@ -1,0 +1,69 @@
+"""How episodes begin when it is not in the reference's own state."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import swaying_clip
+
+from envs.config import EnvConfig
+from envs.core import BatchSim
+from envs.sampler import Sampler
+from envs.starts import Starts
+from envs.terrain import terrain_named
+from questsim.errors import InputError
+
+CLIPS = [swaying_clip(height_m=1.75, frames=40)] * 6
+
+
+def sim_with(starts: Starts, **options) -> BatchSim:
+    sim = BatchSim(CLIPS, EnvConfig(starts=starts, **options), 64, seed=3)
+    sim.reset()
+    return sim
+
+
+@pytest.mark.parametrize("terrain", [None, "rough"])
+def test_a_standing_start_is_upright_at_rest_with_a_sole_on_the_ground(terrain):
+    ground = None if terrain is None else terrain_named(terrain)
+    sim = sim_with(Starts(standing=1.0), terrain=ground)
+    assert not sim.qvel.any()
+    assert not sim.joint_angles.any()
+    np.testing.assert_allclose(sim.qpos[:, 4:6], 0.0, atol=1e-9)
+    np.testing.assert_allclose(sim.foot_clearance.min(1), 0.0, atol=1e-6)
+
+
+def test_disturbed_starts_are_off_by_no_more_than_asked_and_never_in_the_ground():
+    still = sim_with(Starts(), fixed_start=False)
+    starts = Starts(disturbed=1.0, lean_m=0.1, speed_m_s=0.6, place_m=0.0, joints_rad=0.0)
+    sim = sim_with(starts)
+    speed = np.linalg.norm(sim.qvel[:, :2], axis=1)
+    # The root is about as high as the centre of mass.
+    assert 0.3 < np.max(speed) < 0.9
+    lean = 2 * np.arccos(np.clip(np.abs(sim.qpos[:, 3]), 0, 1))
+    assert 0.05 < np.max(lean) < 0.2
+    assert sim.foot_clearance.min() > -1e-6
+    assert not np.allclose(sim.qpos[:, :3], still.qpos[:, :3])
+
+
+def test_shares_of_episodes_begin_as_asked():
+    sim = sim_with(Starts(standing=0.25, disturbed=0.25))
+    standing = ~sim.qvel.any(axis=1) & ~sim.joint_angles.any(axis=1)
+    assert 5 <= standing.sum() <= 28
+
+
+def test_starts_that_cannot_be_are_refused():
+    with pytest.raises(InputError, match="at most 1"):
+        Starts(standing=0.7, disturbed=0.7)
+    with pytest.raises(InputError, match="lean_m"):
+        Starts(lean_m=-0.1)
+
+
+def test_a_rare_kind_comes_more_often_than_its_frames():
+    from dataclasses import replace
+
+    many = [replace(CLIPS[0], kind="walk") for _ in range(16)]
+    sim = BatchSim([*many, replace(CLIPS[0], kind="bow")], EnvConfig(), 1)
+    numbers = np.random.default_rng(0).random((4000, 2))
+    clips, _ = Sampler(sim.reference, weighted=True, by_kind=True).draw(numbers)
+    # Kinds of 16 to 1 frames come 4 to 1.
+    assert np.mean(clips == 16) == pytest.approx(0.2, abs=0.03)
