@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import torch
 
+from agents.agent import Needs
 from agents.evaluation.follow import evaluation_sim, follow
 from agents.policy.balance import FIRST_KD, FIRST_KP, FLIGHT, LEAST_KD, LEAST_KP, Balance
 from agents.policy.networks import TorquePolicy
-from agents.policy.policy_agent import Needs, PolicyAgent, new_policy
+from agents.policy.policy_agent import PolicyAgent, new_policy
 from agents.policy.spec import SPARSE_BLOCKS, TRACKER_BLOCKS, Layout, PolicySpec, initial_gains
 from agents.training.make_learner import copy_actor
 from envs.config import EnvConfig
