@@ -11,7 +11,7 @@ import torch
 import yaml
 
 from agents.comparison.ablation_report import FILES, Result, differences, table
-from agents.comparison.ablations import VARIANTS, AblationsArgs, ablations
+from agents.comparison.ablations import AblationsArgs, ablations
 from agents.comparison.report import Row
 from agents.kinematic import load_system
 from agents.kinematic.data import MotionBank
@@ -34,6 +34,8 @@ from questsim.motion.retarget_back import to_motion
 from questsim.sensors import SENSOR_SETS
 from questsim.skeleton import JOINTS
 from tests.helpers import swaying_clip
+
+VARIANTS = {name: entry.variants for name, entry in AGENTS.items()}
 
 MOTION = to_motion(swaying_clip(frames=42)).resampled(60.0)
 WINDOWS = {"hmdposer": 18, "lgsik": 18, "sparseposer": 64, "dragposer": 3}

@@ -9,18 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from agents.comparison.report import COSTS, HEADS_ALIGNED, ROOTS_ALIGNED, Row
+from agents.comparison.report import COSTS, Row
+from agents.kinematic.registry import AGENTS
 from questsim.files import whole_file
 
 SCHEMA, SCHEMA_VERSION = "questsim-ablations", 1
 FILES: tuple[str, ...] = ("ablations.json", "ablations.csv", "ablations.md")
 """What is written."""
 
-SHOWN: dict[str, tuple[str, ...]] = {
-    "sparseposer": ROOTS_ALIGNED, "dragposer": ROOTS_ALIGNED,
-    "hmdposer": HEADS_ALIGNED, "lgsik": HEADS_ALIGNED,
-}  # fmt: skip
-"""The figures of each paper's own tables; CSV and JSON have all of the comparison's."""
 WEIGHTINGS = ("pooled", "equal")
 
 Figures = dict[str, float | None]
@@ -65,7 +61,7 @@ def _by_scenario(results: Sequence[Result]) -> Iterator[tuple[str, list[tuple[Re
 
 def table(results: Sequence[Result], agent: str, weighting: str) -> str:
     """A Markdown table of each scenario; in brackets, the difference from the full system."""
-    names = SHOWN[agent]
+    names = AGENTS[agent].figures
     lines = []
     for scenario, pairs in _by_scenario(results):
         head = [scenario, *names, "parameters", "steps"]

@@ -1,9 +1,9 @@
 """What each part of a kinematic system is worth: the full system against variants without it.
 
 ``questsim ablations --agent lgsik --motions bandai-namco-2:train --test bandai-namco-2:test
---minutes 3 --out DIR`` trains the full system and every variant in ``VARIANTS`` with the same seed
-and the same small budget, one after the other, and scores all on the same motions as
-``agents.comparison.compare`` does. Variants that only run otherwise are the full system's weights.
+--minutes 3 --out DIR`` trains the full system and every variant that its entry in the registry
+names, with the same seed and the same small budget, one after the other, and scores all on the same
+motions as ``agents.comparison.compare`` does. Variants that only run otherwise are the full system's weights.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from agents.kinematic.data import motions_record
 from agents.kinematic.learning import Config
 from agents.kinematic.options import TrainSystemArgs
 from agents.kinematic.registry import AGENTS
+from agents.kinematic.scenario import Variant
 from agents.kinematic.store import CARD_FILE, load_system, read_system_card
 from agents.kinematic.training import train_system
 from agents.overrides import with_overrides
@@ -40,103 +41,11 @@ MAY_DIFFER_ON_RESUME = {"resume", "out", "threads", "variants"}
 
 
 @dataclass(frozen=True)
-class Variant:
-    """A system without one of its parts.
-
-    Attributes:
-        name: for the table, and of its folder.
-        what: what is left out, and where the ablation is from.
-        set: values of the preset, as of ``--set``.
-        options: of ``load_system``, for a variant that is the full system's weights run otherwise.
-    """
-
-    name: str
-    what: str
-    set: tuple[str, ...] = ()
-    options: tuple[tuple[str, Any], ...] = ()
-
-
-VARIANTS: dict[str, tuple[Variant, ...]] = {
-    "sparseposer": (
-        Variant(
-            "no-learned-ik",
-            "the generator's limbs as they are (SparsePoser: without learned IK)",
-            options=(("learned_ik", False),),
-        ),
-        Variant(
-            "no-regularisation",
-            "lambda 0 in learned IK's loss: limbs may leave the generator's pose (SparsePoser)",
-            set=("stages.ik.weights.keep=0",),
-        ),
-        Variant(
-            "no-skeleton",
-            "plain convolutions and products in place of skeletal ones, pooling and unpooling "
-            "(SparsePoser: without skeletal operations)",
-            set=("spec.skeletal=false",),
-        ),
-    ),
-    "dragposer": (
-        Variant(
-            "no-continuity",
-            "no continuity loss in the autoencoder's training (DragPoser)",
-            set=("stages.vae.weights.continuity=0",),
-        ),
-        Variant(
-            "no-predictor",
-            "the last latent is expected again, not what the temporal predictor says (DragPoser)",
-            options=(("predictor", False),),
-        ),
-    ),
-    "hmdposer": (
-        Variant(
-            "no-hands-in-head",
-            "no tokens of the hands as seen from the head (HMD-Poser)",
-            set=("spec.hands_in_head=false",),
-        ),
-        Variant(
-            "no-shape-head",
-            "bones are not estimated: everybody has the mean body (HMD-Poser)",
-            set=("spec.shape_head=false",),
-        ),
-    ),
-    "lgsik": (
-        Variant(
-            "no-graph",
-            "no graph convolutions: the six parts go on alone (LGSIK-Poser)",
-            set=("spec.graph=false",),
-        ),
-        Variant(
-            "no-ik-heads",
-            "one plain head for all joints in place of the parts' IK heads (LGSIK-Poser)",
-            set=("spec.ik_heads=false",),
-        ),
-        Variant(
-            "no-shape-group",
-            "measurements are not read; bones are estimated from motion alone (LGSIK-Poser)",
-            set=("spec.shape_group=false",),
-        ),
-        Variant(
-            "hmdposer-loss",
-            "trained by HMD-Poser's loss in place of its own (LGSIK-Poser)",
-            set=("spec.loss=hmdposer",),
-        ),
-    ),
-}
-"""Each paper's own ablations, by agent."""
-
-_HMD = ("HMD", "HMD+3IMU")
-SCENARIOS: dict[str, tuple[str, ...]] = {
-    "sparseposer": ("6",), "dragposer": ("6",), "hmdposer": _HMD, "lgsik": _HMD,
-}  # fmt: skip
-"""What systems are given, among the comparison's scenarios."""
-
-
-@dataclass(frozen=True)
 class AblationsArgs:
     """Train a kinematic system and its variants without one part each, and compare them."""
 
     agent: str = ""
-    """sparseposer, dragposer, hmdposer or lgsik."""
+    """A kinematic system with variants, e.g. lgsik; see questsim agents."""
     motions: str = "synthetic"
     """What to learn: synthetic, a dataset (bandai-namco-2:train), a library, file or folder."""
     test: str = "synthetic"
@@ -214,9 +123,12 @@ def ablations(args: AblationsArgs) -> int:
 
 def _checked(args: AblationsArgs) -> tuple[Path, list[Variant]]:
     """The folder, and the full system with the variants that are asked for."""
-    if args.agent not in VARIANTS:
+    with_variants = [name for name, entry in AGENTS.items() if entry.variants]
+    if args.agent not in with_variants:
         raise InputError(
-            f"there are no ablations of {args.agent!r}", "--agent", f"use {', '.join(VARIANTS)}"
+            f"there are no ablations of {args.agent!r}",
+            "--agent",
+            f"use {', '.join(with_variants)}",
         )
     if args.out is None:
         raise InputError("names no folder", "--out", "add --out DIR")
@@ -226,7 +138,7 @@ def _checked(args: AblationsArgs) -> tuple[Path, list[Variant]]:
         raise InputError(f"is {args.minutes:g}, not above 0", "--minutes")
     at_least(1, steps=args.steps, threads=args.threads, max_clips=args.max_clips)
     at_least(0, seed=args.seed)
-    known = {variant.name: variant for variant in VARIANTS[args.agent]}
+    known = {variant.name: variant for variant in AGENTS[args.agent].variants}
     for name in args.variants:
         if name not in known:
             raise InputError(f"there is no {name!r}", "--variants", f"known: {', '.join(known)}")
@@ -279,7 +191,7 @@ def _score(args: AblationsArgs, variant: Variant, out: Path, motions: Sequence[M
     weights = str(out / (FULL if variant.options else variant.name))
     rows = []
     for scenario in scenarios(load_system(weights)):
-        if scenario.name in SCENARIOS[args.agent]:
+        if scenario.name in AGENTS[args.agent].ablated_in:
             given = replace(scenario, options=(*scenario.options, *variant.options))
             rows.append(replace(run(weights, given, motions, args.seed), agent=variant.name))
     folder = out / variant.name

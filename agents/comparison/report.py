@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from agents.kinematic.entry import HEADS_ALIGNED, ROOTS_ALIGNED
 from questsim.files import whole_file
 
 SCHEMA, SCHEMA_VERSION = "questsim-comparison", 1
@@ -88,11 +89,6 @@ LABELS: dict[str, str] = {
 }  # fmt: skip
 """Names of figures in tables."""
 
-HEADS_ALIGNED: tuple[str, ...] = (
-    "mpjre_deg", "mpjpe_cm", "mpjve_cm_s", "jitter_100_m_s3",
-    "h_pe_cm", "u_pe_cm", "l_pe_cm", "r_pe_cm",
-)  # fmt: skip
-ROOTS_ALIGNED: tuple[str, ...] = ("pos_cm", "rot_deg", "vel_cm_s", "ee_cm", "jitter_100_m_s3")
 TABLES: dict[str, tuple[str, ...]] = {
     "Heads moved onto each other (HMD-Poser, LGSIK-Poser)": HEADS_ALIGNED,
     "Roots moved onto each other (SparsePoser, DragPoser)": ROOTS_ALIGNED,

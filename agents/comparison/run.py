@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from agents.comparison.report import RECORDING, Row, row_of
-from agents.comparison.scenarios import RECURRENT_SETS, WINDOW, Scenario, faulty, scenarios
+from agents.comparison.scenarios import PAPER_NAMES, WINDOW, Scenario, faulty, scenarios
 from agents.evaluation.rollout import env_config, roll_out
 from agents.kinematic.efficiency import mmac_a_frame, stream_kib
 from agents.kinematic.interface import KinematicSystem, Poses, UserBody
@@ -95,7 +95,7 @@ def suiting(agent: str, devices: Sequence[str] | None) -> list[Scenario]:
     """
     if resolve(agent).torques:
         sensors = load_agent(agent).needs.sensors
-        name = {key: name for name, key in RECURRENT_SETS.items()}.get(sensors, sensors)
+        name = PAPER_NAMES.get(sensors, sensors)
         found: Sequence[Scenario] = [Scenario(name, SENSOR_SETS[sensors])]
     else:
         base = base_of(agent)

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agents.kinematic.scenario import SIX_TRACKERS, Scenario
 from questsim.errors import InputError
 from questsim.joint_sensors import (
     SENSOR_FPS,
@@ -123,6 +124,7 @@ class KinematicSystem(ABC):
         name: for messages and tables.
         devices: every device it can read, in the order of its ``DeviceSignals``.
         required: those it cannot do without.
+        scenarios: what it is given in a comparison.
         future_frames: how many later frames a pose waits for; ``step`` answers that much late.
     """
 
@@ -130,6 +132,7 @@ class KinematicSystem(ABC):
     devices: tuple[str, ...] = ()
     required: tuple[str, ...] = ()
     future_frames: int = 0
+    scenarios: tuple[Scenario, ...] = SIX_TRACKERS
     interpolates_dropouts: bool = True
     """Whether a silent device keeps its last pose, rather than being left out."""
 

@@ -16,8 +16,9 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import nn
 
+from agents.kinematic.entry import Entry
 from agents.kinematic.interface import KinematicSystem
-from agents.kinematic.registry import AGENTS, Entry
+from agents.kinematic.registry import AGENTS
 from agents.kinematic.switches import switches
 from agents.policy.checkpoint import RESUME_FILE, pack, whole_folder
 from agents.resolve import IK, SYSTEM_CARD, own_object, resolve_system
@@ -159,4 +160,6 @@ def load_system(path_or_name: str | Path, **options: Any) -> KinematicSystem:
         return own_object(found.name)
     module, card = load_module(found.folder)
     entry = AGENTS[card["agent"]]
-    return entry.system(module, found.name, card["training"].get("trained", []), options)
+    system = entry.system(module, found.name, card["training"].get("trained", []), options)
+    system.scenarios = entry.scenarios
+    return system

@@ -1,0 +1,133 @@
+"""HMD-Poser and LGSIK-Poser: all that tables, training and ablations ask of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from torch import nn
+
+from agents.kinematic.entry import CPU, HEADS_ALIGNED, SMOKE, Entry, no_options
+from agents.kinematic.interface import KinematicSystem
+from agents.kinematic.learning import Config, Learning
+from agents.kinematic.recurrent.hmdposer import HmdPoserSpec
+from agents.kinematic.recurrent.lgsik import LgsikSpec
+from agents.kinematic.recurrent.poser import RecurrentModule, RecurrentPoser, make_task
+from agents.kinematic.scenario import PAPER_NAMES, Scenario, Variant
+from questsim.sensors import SENSOR_SETS
+
+_SETS = tuple(PAPER_NAMES)
+SCENARIOS = tuple(
+    Scenario(PAPER_NAMES[key] + (", window 40" if online else ""), SENSOR_SETS[key], online=online)
+    for online in (False, True)
+    for key in _SETS
+)
+_ABLATED_IN = ("HMD", "HMD+3IMU")
+
+
+def _system(
+    module: nn.Module, name: str, trained: list[str], options: dict[str, Any]
+) -> KinematicSystem:
+    assert isinstance(module, RecurrentModule)
+    no_options(name, options)
+    return RecurrentPoser(module, name)
+
+
+HMDPOSER = Entry(
+    "HMD-Poser (Dai et al., CVPR 2024)",
+    _SETS,
+    {
+        "paper": Config(
+            HmdPoserSpec(),
+            {
+                "network": Learning(
+                    optimiser="adam",
+                    schedule="step",
+                    final_rate=0.1,
+                    batch=256,
+                    window=42,
+                    clip=None,
+                )
+            },
+        ),
+        "cpu": Config(
+            HmdPoserSpec(
+                size=96, layers=1, heads=4, feed_forward=256, head_hidden=192, dropout=0.0
+            ),
+            {"network": CPU},
+        ),
+        "smoke": Config(
+            HmdPoserSpec(size=32, blocks=1, layers=1, heads=4, feed_forward=32, head_hidden=32),
+            {"network": replace(SMOKE, window=18)},
+            validation=12,
+        ),
+    },
+    RecurrentModule,
+    make_task,
+    _system,
+    scenarios=SCENARIOS,
+    figures=HEADS_ALIGNED,
+    variants=(
+        Variant(
+            "no-hands-in-head",
+            "no tokens of the hands as seen from the head (HMD-Poser)",
+            set=("spec.hands_in_head=false",),
+        ),
+        Variant(
+            "no-shape-head",
+            "bones are not estimated: everybody has the mean body (HMD-Poser)",
+            set=("spec.shape_head=false",),
+        ),
+    ),
+    ablated_in=_ABLATED_IN,
+    paper_ms=17.0,
+)
+
+LGSIK = Entry(
+    "LGSIK-Poser (2025)",
+    _SETS,
+    {
+        "paper": Config(
+            LgsikSpec(),
+            {"network": Learning(schedule="plateau", final_rate=0.1, window=42, clip=None)},
+        ),
+        "cpu": Config(
+            LgsikSpec(size=64, hidden=(256, 128), shape_hidden=128),
+            {"network": CPU},
+        ),
+        "smoke": Config(
+            LgsikSpec(size=16, hidden=(32, 32), shape_hidden=16),
+            {"network": replace(SMOKE, window=18)},
+            validation=12,
+        ),
+    },
+    RecurrentModule,
+    make_task,
+    _system,
+    scenarios=SCENARIOS,
+    figures=HEADS_ALIGNED,
+    variants=(
+        Variant(
+            "no-graph",
+            "no graph convolutions: the six parts go on alone (LGSIK-Poser)",
+            set=("spec.graph=false",),
+        ),
+        Variant(
+            "no-ik-heads",
+            "one plain head for all joints in place of the parts' IK heads (LGSIK-Poser)",
+            set=("spec.ik_heads=false",),
+        ),
+        Variant(
+            "no-shape-group",
+            "measurements are not read; bones are estimated from motion alone (LGSIK-Poser)",
+            set=("spec.shape_group=false",),
+        ),
+        Variant(
+            "hmdposer-loss",
+            "trained by HMD-Poser's loss in place of its own (LGSIK-Poser)",
+            set=("spec.loss=hmdposer",),
+        ),
+    ),
+    ablated_in=_ABLATED_IN,
+    paper_ms=8.0,
+)
