@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
-from envs.terrain_kinds import SHAPES
+from envs.terrain_kinds import SHAPES, Shape
 from questsim.errors import InputError
+from questsim.extensions import same_source
 from questsim.heightfield import HeightField
 
 COURSE = "course"
@@ -146,10 +148,8 @@ class Terrain:
 
 
 TERRAINS: dict[str, Terrain] = {
-    "flat": Terrain("flat"),
-    "rough": Terrain("rough"),
+    **{kind: Terrain(kind) for kind in SHAPES},
     "waves": Terrain("waves", amplitude_m=0.1, wavelength_m=2.0),
-    "slope": Terrain("slope"),
     "stairs": Terrain("stairs", direction="up"),
     "steps": Terrain("steps", step_height_m=0.06),
     "gaps": Terrain("gaps", direction="up"),
@@ -193,6 +193,26 @@ TERRAINS["mixed"] = Terrain(
     spread_m=7.0,
     flat_share=0.4,
 )
+
+
+def register_terrain(kind: str, shape: Shape, **options: Any) -> None:
+    """Add a kind of ground, e.g. from a module that ``QUESTSIM_EXTENSIONS`` names.
+
+    Args:
+        kind: what command lines call it.
+        shape: of ``(terrain, x, y, rng)``, heights in metres; see ``terrain_kinds``.
+        **options: of ``Terrain`` that are its defaults.
+
+    Raises:
+        InputError: the name is taken or has a comma or colon, or an option cannot be used.
+    """
+    if kind in TERRAINS and not (kind in SHAPES and same_source(SHAPES[kind], shape)):
+        raise InputError(f"there is a terrain {kind!r} already", "register_terrain", "rename it")
+    if not kind.isidentifier():
+        raise InputError(f"{kind!r} cannot name a terrain", "register_terrain")
+    SHAPES[kind] = shape
+    TERRAINS[kind] = Terrain(kind, **options)
+    height_field.cache_clear()
 
 
 @lru_cache(maxsize=32)

@@ -3,7 +3,8 @@
 ``questsim ablations --agent lgsik --motions bandai-namco-2:train --test bandai-namco-2:test
 --minutes 3 --out DIR`` trains the full system and every variant that its entry in the registry
 names, with the same seed and the same small budget, one after the other, and scores all on the same
-motions as ``agents.comparison.compare`` does. Variants that only run otherwise are the full system's weights.
+motions as ``agents.comparison.compare`` does. Variants that only run otherwise are the full
+system's weights.
 """
 
 from __future__ import annotations

@@ -32,6 +32,7 @@ from agents.loading import load_agent
 from agents.policy.policy_agent import PolicyAgent
 from agents.resolve import base_of, resolve
 from questsim.errors import InputError
+from questsim.extensions import load_extensions
 from questsim.joint_sensors import SensorSequence, readings
 from questsim.motion.clip import Clip
 from questsim.motion.motion import Motion
@@ -57,6 +58,11 @@ class Mapper(Protocol):
         ...
 
 
+def _begin_process() -> None:
+    load_extensions()
+    torch.set_num_threads(1)
+
+
 @contextmanager
 def workers(count: int) -> Iterator[Mapper]:
     """A ``map`` whose jobs run on so many processes, each on one thread: the bits are the same.
@@ -67,9 +73,7 @@ def workers(count: int) -> Iterator[Mapper]:
     if count == 1:
         yield map
         return
-    with ProcessPoolExecutor(
-        count, multiprocessing.get_context("spawn"), torch.set_num_threads, (1,)
-    ) as pool:
+    with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin_process) as pool:
         yield pool.map
 
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from envs import BatchSim, EnvConfig, Terrain
-from envs.terrain_kinds import SHAPES
+from envs import BatchSim, EnvConfig, Terrain, terrain_named
+from envs.terrain import register_terrain
 from questsim.motion.synthesis.synthetic import synthesise
 
 
@@ -15,12 +15,12 @@ def ridges(terrain: Terrain, x: np.ndarray, y: np.ndarray, rng: np.random.Genera
     return terrain.amplitude_m * strength * np.clip(1.0 - distance / 0.2, 0.0, 1.0)
 
 
-SHAPES["ridges"] = ridges
+register_terrain("ridges", ridges, amplitude_m=0.05, direction="up")
 
 
 def main() -> BatchSim:
     """Walk over ridges without any torque, which does not end well."""
-    terrain = Terrain("ridges", amplitude_m=0.05, direction="up")
+    terrain = terrain_named("ridges:amplitude_m=0.06")
     sim = BatchSim([synthesise("walk", duration=2.0)], EnvConfig(terrain=terrain), num_envs=2)
     sim.reset()
     for _ in range(10):

@@ -6,6 +6,7 @@ import gzip
 import hashlib
 import io
 import os
+import re
 import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -35,6 +36,8 @@ class Dataset:
         folder: the folder inside the archive that holds it.
         licence: SPDX identifier.
         credit: who is to be credited, and where it comes from.
+        data: the folder of ``NAME.sha256.gz`` (a line ``DIGEST  FILE`` for each clip) and
+            ``NAME-test.txt`` (names of the test clips); None for the package's own.
     """
 
     name: str
@@ -43,6 +46,7 @@ class Dataset:
     folder: str
     licence: str
     credit: str
+    data: Path | None = None
 
 
 _BANDAI = "https://github.com/BandaiNamcoResearchInc/Bandai-Namco-Research-Motiondataset"
@@ -59,6 +63,27 @@ DATASETS: dict[str, Dataset] = {
 }
 
 
+def register_dataset(dataset: Dataset) -> None:
+    """Add a data set, e.g. from a module that ``QUESTSIM_EXTENSIONS`` names.
+
+    Raises:
+        InputError: the name is taken or cannot be one, or its manifest or test list is not there.
+    """
+    name = dataset.name
+    if DATASETS.get(name, dataset) != dataset:
+        raise InputError(f"there is a data set {name!r} already", "register_dataset", "rename it")
+    if not re.fullmatch(r"[\w.-]+", name) or name == "synthetic":
+        raise InputError(f"{name!r} cannot name a data set", "register_dataset")
+    for file in (f"{name}.sha256.gz", f"{name}-test.txt"):
+        if not ((dataset.data or DATA) / file).is_file():
+            raise InputError(f"there is no {file}", dataset.data or DATA, "see datasets.Dataset")
+    DATASETS[name] = dataset
+
+
+def _data(name: str) -> Path:
+    return DATASETS[name].data or DATA
+
+
 def cache_dir() -> Path:
     """Where downloads and retargeted clips are kept: ``QUESTSIM_CACHE`` or the platform's place."""
     return Path(os.environ.get("QUESTSIM_CACHE") or pooch.os_cache("questsim"))
@@ -67,7 +92,7 @@ def cache_dir() -> Path:
 @lru_cache
 def manifest(name: str) -> dict[str, str]:
     """SHA-256 of each clip's file, by file name, of the dataset."""
-    with gzip.open(DATA / f"{name}.sha256.gz", "rt", encoding="ascii") as file:
+    with gzip.open(_data(name) / f"{name}.sha256.gz", "rt", encoding="ascii") as file:
         pairs = (line.split() for line in file)
         return {filename: digest for digest, filename in pairs}
 
@@ -83,7 +108,7 @@ def split_names(name: str, split: str | None) -> list[str]:
     stems = sorted(Path(filename).stem for filename in manifest(name))
     if split is None:
         return stems
-    test = set((DATA / f"{name}-test.txt").read_text(encoding="ascii").split())
+    test = set((_data(name) / f"{name}-test.txt").read_text(encoding="ascii").split())
     return [stem for stem in stems if (stem in test) == (split == "test")]
 
 
@@ -142,7 +167,7 @@ def fetch(name: str, mirror: str | None = None) -> Path:
     """
     dataset = known(name)
     folder = dataset_folder(name)
-    print(f"{dataset.title}: licence {dataset.licence} (non-commercial use). {dataset.credit}")
+    print(f"{dataset.title}: licence {dataset.licence}. {dataset.credit}")
     wanted = {f: d for f, d in manifest(name).items() if file_digest(folder / f) != d}
     kept = len(manifest(name)) - len(wanted)
     if wanted:

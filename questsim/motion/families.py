@@ -212,9 +212,40 @@ DEEPMIMIC = Family(
     units="m",
 )  # fmt: skip
 
-FAMILIES: tuple[Family, ...] = (
-    BANDAI_NAMCO, LAFAN1, CMU, SMPL, SMPL_LOWER, ASF_AMC, DEEPMIMIC
-)  # fmt: skip
+FAMILIES: list[Family] = [BANDAI_NAMCO, LAFAN1, CMU, SMPL, SMPL_LOWER, ASF_AMC, DEEPMIMIC]
+"""All that are known by their joints' names; of several that fit a file, the first counts."""
+_OWN = len(FAMILIES)
+
+
+def register_family(family: Family) -> None:
+    """Add a family, e.g. from a module that ``QUESTSIM_EXTENSIONS`` names.
+
+    Raises:
+        InputError: the name is taken, a joint is unknown, or one is lacking.
+    """
+    where = f"register_family {family.name}"
+    unknown = [joint for joint in (*family.joints, *family.axes) if joint not in JOINTS]
+    lacking = [joint for joint in JOINTS if joint not in (*family.joints, *OPTIONAL)]
+    if unknown:
+        raise InputError(f"there is no joint {unknown[0]!r}", where, f"use {', '.join(JOINTS)}")
+    if lacking:
+        raise InputError(f"joints lacks {', '.join(lacking)}", where, "name the file's joints")
+    same = [known for known in FAMILIES if known.name == family.name]
+    if same and repr(same[0]) != repr(family):
+        raise InputError(f"there is a family {family.name!r} already", where, "rename it")
+    if not same:
+        FAMILIES.append(family)
+
+
+def registered_families() -> tuple[Family, ...]:
+    """Those of other packages."""
+    return tuple(FAMILIES[_OWN:])
+
+
+def add_families(families: Sequence[Family]) -> None:
+    """Register what another process had registered."""
+    for family in families:
+        register_family(family)
 
 
 def known(names: Sequence[str]) -> Family | None:

@@ -20,6 +20,7 @@ from questsim.assets import mjcf_path
 from questsim.errors import InputError
 from questsim.motion import datasets
 from questsim.motion.clip import Clip
+from questsim.motion.families import add_families, registered_families
 from questsim.motion.library import VERSION, Library, is_library, load_library, save_library
 from questsim.motion.motion import Motion
 from questsim.motion.reading import ReadOptions, read_motion
@@ -140,7 +141,9 @@ def read_many(
 
     # The parent may hold threads and a GL context: a fresh process inherits neither.
     workers = min(2, os.cpu_count() or 1)
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(
+        workers, get_context("spawn"), add_families, (registered_families(),)
+    ) as pool:
         results = pool.map(task, paths, chunksize=8)
         yield from tqdm(results, total=len(paths), desc="retargeting", unit=" clips", disable=None)
 
@@ -204,7 +207,8 @@ def _cached(
     names: set[str] | None = None,
 ) -> Library:
     """Reads files through a library in the cache, whose name is a digest of all it depends on."""
-    digest = hashlib.sha256("\n".join([*key, repr(options), _code_digest()]).encode())
+    others = map(repr, registered_families())
+    digest = hashlib.sha256("\n".join([*key, repr(options), *others, _code_digest()]).encode())
     path = datasets.cache_dir() / "clips" / f"{digest.hexdigest()[:32]}.npz"
     if not path.is_file():
         with _alone(path):
