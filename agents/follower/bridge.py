@@ -271,7 +271,8 @@ class SilentDevices:
         sunk = _smooth(np.clip((self._silent_s - HOLD_S) / SINK_S, 0.0, 1.0))[:, None]
         made = head + rot.quat_rotate(turn, (1.0 - sunk) * self._held + sunk * self._rest)
         made_quat = rot.quat_multiply(turn, _blend(self._held_quat, IDENTITY, sunk))
-        self._silent_s = np.where(present, 0.0, self._silent_s + step)
+        # Who comes back is eased in from where it had sunk to.
+        self._silent_s += np.where(present, 0.0, step)
         self._eased = np.where(present, np.minimum(self._eased + step / EASE_S, 1.0), 0.0)
         share = _smooth(self._eased)[:, None]
         out = share * position + (1.0 - share) * made
@@ -281,6 +282,7 @@ class SilentDevices:
         whole = self._eased >= 1.0
         self._held[whole] = rot.quat_rotate(back, out - head)[whole]
         self._held_quat[whole] = rot.quat_multiply(back, out_quat)[whole]
+        self._silent_s[whole] = 0.0
         return out, out_quat
 
 
