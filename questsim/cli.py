@@ -40,6 +40,14 @@ COMMANDS: dict[str, Command] = {
         "agents.live.demo", "play", "PlayArgs",
         "watch a training's newest policy, while it learns",
     ),
+    "replay": Command(
+        "agents.follower.replay", "replay", "ReplayArgs",
+        "let the avatar follow a recording of a headset and controllers",
+    ),
+    "recordings show": Command(
+        "agents.follower.replay", "show_recording", "ShowRecordingArgs",
+        "say what a recording holds, and plot its signals beside the contacts",
+    ),
     "motions import": Command(
         "questsim.motion.motions_command", "import_motions", "ImportArgs",
         "read BVH and npz files into a library of clips",

@@ -33,6 +33,8 @@ from questsim.sensors import DEVICES
 FORMAT, VERSION = "questsim-recording", 1
 SUFFIX = ".jsonl.gz"
 DECIMALS = 5
+EXAMPLE = "synthetic"
+"""Name of the shipped recording, two minutes of a user who does not exist."""
 MAX_FRAMES = 1_000_000
 """A file with more is refused: three hours at 90 Hz."""
 _CSV_PARTS = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -69,6 +71,7 @@ class RecordingWriter:
         path: the file, ``.jsonl.gz``.
         convention: of the numbers in the file.
         calibration: of the user, if there is one.
+        decimals: of the numbers.
 
     Raises:
         InputError: the file's name ends otherwise, or the convention is unknown.
@@ -79,11 +82,12 @@ class RecordingWriter:
         path: Path,
         convention: str = "questsim",
         calibration: Mapping[str, Any] | None = None,
+        decimals: int = DECIMALS,
     ) -> None:
         if not path.name.endswith(SUFFIX):
             raise InputError(f"is no {SUFFIX}", path, f"name it {path.stem}{SUFFIX}")
         convention_named(convention)
-        self._path, self._convention = path, convention
+        self._path, self._convention, self._decimals = path, convention, decimals
         self._header = {
             "format": FORMAT,
             "version": VERSION,
@@ -109,10 +113,10 @@ class RecordingWriter:
 
     def write(self, frame: DeviceFrame) -> None:
         """One more frame."""
-        line: dict[str, Any] = {"t": round(frame.time_s, DECIMALS)}
+        line: dict[str, Any] = {"t": round(frame.time_s, self._decimals)}
         for name, pose in frame.poses.items():
             numbers = np.concatenate(from_ours(pose.position, pose.quat, self._convention))
-            line[name] = [round(x, DECIMALS) for x in numbers.tolist()]
+            line[name] = [round(x, self._decimals) for x in numbers.tolist()]
         self._line(line)
         self.count += 1
 
@@ -125,9 +129,10 @@ def write_recording(
     frames: Iterable[DeviceFrame],
     convention: str = "questsim",
     calibration: Mapping[str, Any] | None = None,
+    decimals: int = DECIMALS,
 ) -> None:
     """Write frames that are all there already; see ``RecordingWriter``."""
-    with RecordingWriter(path, convention, calibration) as writer:
+    with RecordingWriter(path, convention, calibration, decimals) as writer:
         for frame in frames:
             writer.write(frame)
 
@@ -136,15 +141,17 @@ def read_recording(path: Path, convention: str | None = None) -> Recording:
     """Read a recording: ours (``.jsonl.gz``), iwer's (``.json``) or named columns (``.csv``).
 
     Args:
-        path: the file.
+        path: the file, or ``synthetic`` for the shipped one.
         convention: of a CSV file, which does not say it itself; not for others.
 
     Raises:
         InputError: naming file and line: another format or version, values that are no poses,
             times that do not go forward, no headset, no convention where one is needed.
     """
+    if str(path) == EXAMPLE:
+        path = example_path()
     if not path.is_file():
-        raise InputError("there is no such file", path)
+        raise InputError("there is no such file", path, f"{EXAMPLE} is the shipped one")
     name = path.name.lower()
     if name.endswith(".csv"):
         if convention is None:
@@ -159,6 +166,11 @@ def read_recording(path: Path, convention: str | None = None) -> Recording:
     if name.endswith(".json"):
         return _checked(path, _iwer_frames(path), None)
     raise InputError("is no recording", path, f"use {SUFFIX}, .json of iwer, or .csv")
+
+
+def example_path() -> Path:
+    """Where the shipped recording is; ``synthetic_user.example_frames`` made it."""
+    return Path(__file__).parent / "examples" / f"synthetic-user{SUFFIX}"
 
 
 def _checked(

@@ -21,6 +21,12 @@ from questsim.sensors import SENSOR_SETS, device_poses
 from questsim.skeleton import LINKS
 
 STILL_S, GLIDE_S = 4.0, 1.2
+EXAMPLE_CLIPS = (
+    "walk-0.8-start-stop", "wave-1", "walk-1.2-start-stop", "turn-left-0-1", "raise-both-hands-1",
+    "squat-1", "stand-1", "walk-0.8-start-stop", "turn-right-0-1", "boxing-1", "whiteboard-1",
+    "walk-1.2-start-stop", "raise-right-hand-1", "stand-2",
+)  # fmt: skip
+"""What the user of the shipped recording does, after standing still."""
 SWAY_M = 0.006
 """Amplitude of the slow sway of somebody who stands still."""
 
@@ -104,6 +110,28 @@ def stream(
         heading = float(rot.heading(clip.qpos[-1, 3:7]))
         spot = clip.qpos[-1, :2]
     return _seen(user, names, position, quat, rate_hz, jitter_s, loss), spans
+
+
+def example_frames() -> list[DeviceFrame]:
+    """The two minutes of the shipped recording, ``recordings.example_path``.
+
+    A user of 1.68 m with controllers held a little askew, at 45 Hz with jitter and losses, as
+    OpenXR reports them: ``write_recording(path, example_frames(), "openxr", decimals=4)``.
+    """
+    from questsim.motion.synthesis.synthetic import synthetic_clips
+
+    clips = {clip.name.removeprefix("synthetic-"): clip for clip in synthetic_clips()}
+    user = SyntheticUser(
+        height_m=1.68,
+        mounts={
+            "left_controller": ((0.01, 0.0, -0.015), (0.2, 0.3, -0.1)),
+            "right_controller": ((0.01, 0.005, -0.01), (-0.2, 0.35, 0.1)),
+        },
+        noise_m=0.0,
+        noise_rad=0.0,
+    )
+    clips_done = [clips[name] for name in EXAMPLE_CLIPS]
+    return stream(user, clips_done, 45.0, jitter_s=0.005, loss=0.01)[0]
 
 
 def placed(clip: Clip, heading_rad: float, spot: np.ndarray) -> Clip:

@@ -299,6 +299,7 @@ class SystemPoses:
     def reset(self) -> None:
         """The system forgets; another stream begins."""
         self._system.reset(UserBody.of(self._user), self._names)
+        self._retarget.reset()
         self._count = 0
 
     def feed(self, position: np.ndarray, quat: np.ndarray, present: np.ndarray) -> Motion:

@@ -1,0 +1,208 @@
+"""``questsim replay`` and ``questsim recordings show``: recordings drive the avatar."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import torch
+import tyro
+
+from agents.follower.calibration import POSES, Calibration
+from agents.follower.follower import Follower
+from questsim.avatar_pose import AvatarPose
+from questsim.devices import DeviceFrame
+from questsim.errors import InputError
+from questsim.evaluation_report import check_writable
+from questsim.files import whole_file
+from questsim.motion.clip import FPS, Clip
+from questsim.motion.kinematics import clip_from_qpos
+from questsim.recordings import Recording, read_recording
+from questsim.stream_metrics import Track, stream_scores, track_of
+
+CALIBRATION_S = 3.0
+"""Without a calibration, and unless told otherwise, this much of a recording's beginning is one."""
+
+
+@dataclass(frozen=True)
+class FollowArgs:
+    """What drives the avatar, and what is known of the user."""
+
+    file: Annotated[Path, tyro.conf.Positional]
+    """The recording: ours (.jsonl.gz), iwer's (.json), or a .csv with --convention."""
+    agent: str = "questsim"
+    """A policy, a kinematic system, or one with +physics after its name."""
+    sensors: str | None = None
+    """Set of devices, e.g. H+2C or H; by default the agent's own."""
+    convention: str | None = None
+    """Axes of a CSV file: openxr, steamvr, unity, unreal or questsim."""
+    height: float | None = None
+    """Stature of the user in metres; by default measured."""
+    pose: str = "hanging"
+    """How the user stands during the calibration: hanging or a-pose."""
+    calibrate: float = CALIBRATION_S
+    """The first so many seconds are the calibration, unless the file has one; 0 for none, with
+    --height."""
+    assist: float = 0.0
+    """Greatest force in N that may help the avatar's balance."""
+
+
+@dataclass(frozen=True)
+class ReplayArgs(FollowArgs):
+    """Let the avatar follow a recording; print its scores."""
+
+    out: Path | None = None
+    """Write the scores (.json) or a film of the avatar (.mp4)."""
+
+
+@dataclass(frozen=True)
+class ShowRecordingArgs(FollowArgs):
+    """Say what a recording holds, replay it and plot signals and contacts."""
+
+    out: Path = Path("shown")
+    """The folder for the PNG and the scores."""
+
+
+def replay(args: ReplayArgs) -> None:
+    """Replay a recording and print what came of it.
+
+    Raises:
+        InputError: a recording, agent or option that cannot be used.
+    """
+    if args.out is not None:
+        if args.out.suffix.lower() not in (".json", ".mp4"):
+            raise InputError(f"{args.out.name} is no .json and no .mp4", "--out")
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        check_writable(args.out.parent)
+    track = followed(args)
+    _print(stream_scores(track), track)
+    if args.out is not None and args.out.suffix.lower() == ".json":
+        write_scores(args.out, args, track)
+    elif args.out is not None:
+        _film(track, args.file.name, args.out)
+
+
+def show_recording(args: ShowRecordingArgs) -> None:
+    """Print what is in a recording, and write OUT/NAME.png and OUT/NAME.json.
+
+    Raises:
+        InputError: a recording, agent or option that cannot be used.
+    """
+    from questsim.stream_plots import plot_signals
+
+    args.out.mkdir(parents=True, exist_ok=True)
+    check_writable(args.out)
+    recording = read_recording(args.file, args.convention)
+    count, seconds = len(recording.frames), recording.duration_s
+    print(f"{count} frames, {seconds:.1f} s, {(count - 1) / max(seconds, 1e-9):.1f} Hz on average")
+    for name in recording.devices:
+        share = sum(name in frame.poses for frame in recording.frames) / count
+        print(f"{name}: reports in {100 * share:.1f} % of the frames")
+    track = followed(args, recording)
+    _print(stream_scores(track), track)
+    base = args.out / args.file.name.split(".")[0]
+    with whole_file(base.with_suffix(".png")) as fresh:
+        plot_signals(track, fresh)
+    write_scores(base.with_suffix(".json"), args, track)
+    print(f"written to {base}.png and {base}.json")
+
+
+def followed(args: FollowArgs, recording: Recording | None = None) -> Track:
+    """What the avatar does on a recording, after its calibration.
+
+    Raises:
+        InputError: see ``replay``.
+    """
+    torch.set_num_threads(1)
+    if args.pose not in POSES:
+        raise InputError(f"is {args.pose!r}, not one of {', '.join(POSES)}", "--pose")
+    recording = recording or read_recording(args.file, args.convention)
+    follower = Follower(args.agent, args.sensors, assist_n=args.assist)
+    rest = calibrated(follower, recording, args.calibrate, args.height, args.pose)
+    assert follower.calibration is not None
+    known = follower.calibration
+    print(f"stature {known.height_m:.2f} m, floor at {known.floor_m:.2f} m", file=sys.stderr)
+    return track_of([known.apply(f) for f in rest], replayed(follower, rest), known.floor_m)
+
+
+def calibrated(
+    follower: Follower,
+    recording: Recording,
+    seconds: float = CALIBRATION_S,
+    height_m: float | None = None,
+    pose: str = "hanging",
+) -> Sequence[DeviceFrame]:
+    """Calibrate a follower by a recording; returns the frames that are to be followed.
+
+    Args:
+        follower: gets the calibration that the recording has, or one of its first seconds.
+        recording: frames.
+        seconds: of the calibration; 0 for none, which needs a stature.
+        height_m: stature, if it is known.
+        pose: see ``calibrate``.
+
+    Raises:
+        InputError: the user does not stand still, or nothing says how tall they are.
+    """
+    frames = recording.frames
+    if recording.calibration is not None and height_m is None:
+        follower.use(Calibration.of(recording.calibration))
+        return frames
+    if seconds <= 0.0:
+        if height_m is None:
+            raise InputError("nothing says how tall the user is", "--calibrate 0", "give --height")
+        follower.use(Calibration(height_m))
+        return frames
+    end = frames[0].time_s + seconds
+    follower.calibrate([f for f in frames if f.time_s < end], height_m=height_m, pose=pose)
+    return [frame for frame in frames if frame.time_s >= end]
+
+
+def replayed(follower: Follower, frames: Sequence[DeviceFrame]) -> list[AvatarPose]:
+    """The avatar's pose after every frame."""
+    return [follower.step(frame) for frame in frames]
+
+
+def write_scores(path: Path, args: FollowArgs, track: Track) -> None:
+    """Write scores, events and what they are of as JSON."""
+    content = {
+        "format": "questsim-stream-scores",
+        "version": 1,
+        "recording": args.file.name,
+        "agent": args.agent,
+        "assist_bound_n": args.assist,
+        "height_m": track.height_m,
+        "scores": stream_scores(track),
+        "events": [{"time_s": round(time, 3), "event": text} for time, text in track.events],
+    }
+    with whole_file(path) as fresh:
+        fresh.write_text(json.dumps(content, indent=1) + "\n")
+
+
+def _print(scores: dict[str, float | int | None], track: Track) -> None:
+    width = max(map(len, scores))
+    for name, value in scores.items():
+        shown = "-" if value is None else f"{value:.2f}" if isinstance(value, float) else value
+        print(f"{name:<{width}}  {shown}")
+    for time_s, event in track.events:
+        print(f"{time_s:8.2f} s  {event}")
+
+
+def performed_clip(track: Track, name: str) -> Clip:
+    """What the avatar did, as a clip at 36 Hz."""
+    return clip_from_qpos(name, track.qpos, track.height_m)
+
+
+def _film(track: Track, name: str, path: Path) -> None:
+    from questsim.viewing.films import clip_frames
+    from questsim.viewing.gl import find_gl, missing_gl
+    from questsim.viewing.video import write_video
+
+    if find_gl() is None:
+        raise InputError(missing_gl(), "--out")
+    write_video(path, clip_frames(performed_clip(track, name), 640, 480, 1), FPS)
+    print(f"written to {path}")

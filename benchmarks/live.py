@@ -1,0 +1,85 @@
+"""The live follower: time from a frame of devices to a pose, and ten minutes of a bad stream.
+
+    python -m benchmarks.live                  # latency, and ten minutes at 90 Hz
+    python -m benchmarks.live --minutes 1 --agent questsim-now
+
+Frames are those of a synthetic user at 90 Hz, of which 1 % are lost; each arrives up to 20 ms late,
+so that many come after later ones and are dropped. Bars: half of the steps within 5 ms, 99 % within
+20 ms, no restart, no growth of memory. The future window of the agent is not in the times.
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+import time
+
+import numpy as np
+import torch
+
+from agents.follower import Follower
+from benchmarks.common import arguments, report
+from questsim.cli import guarded
+from questsim.devices import DeviceFrame
+from questsim.motion.synthesis.synthetic import synthetic_clips
+from questsim.synthetic_user import EXAMPLE_CLIPS, STILL_S, SyntheticUser, stream
+
+RATE_HZ, LOSS, JITTER_S = 90.0, 0.01, 0.02
+
+
+def main() -> None:
+    """Measure and print."""
+    args = arguments(__doc__ or "", {"agent": "questsim"}, minutes=10)
+    torch.set_num_threads(1)
+    report(measure(args.agent, float(args.minutes)), args.json)
+
+
+def bad_stream(minutes: float) -> list[DeviceFrame]:
+    """Frames of a user in the order in which they arrive."""
+    clips = {clip.name.removeprefix("synthetic-"): clip for clip in synthetic_clips()}
+    rounds = int(np.ceil(minutes / 2.0))
+    done = [clips[name] for name in EXAMPLE_CLIPS] * rounds
+    frames, _ = stream(SyntheticUser(1.75), done, RATE_HZ, loss=LOSS)
+    frames = [frame for frame in frames if frame.time_s < 60.0 * minutes]
+    late = np.random.default_rng(0).uniform(0.0, JITTER_S, len(frames))
+    order = np.argsort([frame.time_s + wait for frame, wait in zip(frames, late, strict=True)])
+    return [frames[i] for i in order]
+
+
+def measure(agent: str, minutes: float) -> dict[str, float]:
+    """Times of steps in ms, restarts, and growth of memory over the second half.
+
+    Args:
+        agent: to follow with.
+        minutes: of the stream.
+    """
+    frames = bad_stream(minutes)
+    follower = Follower(agent)
+    follower.calibrate([f for f in sorted(frames, key=lambda f: f.time_s) if f.time_s < STILL_S])
+    for frame in frames[:200]:  # compiles, and warms caches
+        follower.step(frame)
+    follower.reset()
+    times, restarts, half = [], 0, 0
+    for number, frame in enumerate(frames):
+        began = time.perf_counter()
+        pose = follower.step(frame)
+        times.append(time.perf_counter() - began)
+        restarts += sum("set up again" in event for event in pose.events)
+        if number == len(frames) // 2:
+            half = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    whole = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    p50, p99 = np.percentile(times, [50, 99])
+    return {
+        "frames": len(frames),
+        "p50_ms": 1e3 * float(p50),
+        "p50_goal_ms": 5.0,
+        "p99_ms": 1e3 * float(p99),
+        "p99_goal_ms": 20.0,
+        "times_real_time": frames[-1].time_s / sum(times),
+        "restarts": restarts,
+        "memory_growth_in_second_half_kb": whole - half,
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(guarded(main))

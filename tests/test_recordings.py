@@ -1,0 +1,200 @@
+"""Recordings: our format, iwer's and CSV; the shipped one, replayed and scored."""
+
+import gzip
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.follower import Follower
+from agents.follower.replay import (
+    ReplayArgs,
+    ShowRecordingArgs,
+    calibrated,
+    replay,
+    replayed,
+    show_recording,
+)
+from questsim import rotations as rot
+from questsim.devices import CONVENTIONS, from_ours
+from questsim.errors import InputError
+from questsim.motion.clip import FPS
+from questsim.recordings import read_recording, write_recording
+from questsim.stream_metrics import stream_scores, track_of
+from questsim.synthetic_user import SyntheticUser, example_frames, stream
+
+FRAMES = stream(SyntheticUser(1.7), [], 72.0, jitter_s=0.002)[0][:100]
+FRAMES[7].poses.pop("left_controller")  # type: ignore[attr-defined]
+
+
+def same(a, b, metres=2e-5, radians=2e-4):
+    """Whether two streams report the same poses at the same times."""
+    assert len(a) == len(b)
+    for one, other in zip(a, b, strict=True):
+        assert one.time_s == pytest.approx(other.time_s, abs=1e-4)
+        assert one.poses.keys() == other.poses.keys()
+        for name, pose in one.poses.items():
+            assert np.abs(pose.position - other.poses[name].position).max() < metres
+            assert rot.angle_between(pose.quat, other.poses[name].quat) < radians
+    return True
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+def test_a_recording_comes_back_in_every_convention(tmp_path, convention):
+    path = tmp_path / "me.jsonl.gz"
+    write_recording(path, FRAMES, convention)
+    assert same(read_recording(path).frames, FRAMES)
+
+
+def test_the_same_frames_are_the_same_bytes(tmp_path):
+    one, other = tmp_path / "a.jsonl.gz", tmp_path / "b.jsonl.gz"
+    write_recording(one, FRAMES)
+    write_recording(other, FRAMES)
+    assert one.read_bytes() == other.read_bytes()
+
+
+def test_a_recording_that_is_interrupted_leaves_no_file(tmp_path):
+    def broken():
+        yield FRAMES[0]
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_recording(tmp_path / "me.jsonl.gz", broken())
+    assert not list(tmp_path.iterdir())
+
+
+def test_csv_of_unity_is_read_with_its_silent_devices(tmp_path):
+    parts = ("x", "y", "z", "qx", "qy", "qz", "qw")
+    devices = ("headset", "left_controller", "right_controller")
+    lines = [",".join(["time_s", *(f"{d}_{p}" for d in devices for p in parts)])]
+    for frame in FRAMES:
+        cells = [f"{frame.time_s:.6f}"]
+        for name in devices:
+            pose = frame.poses.get(name)
+            numbers = [""] * 7 if pose is None else np.concatenate(from_ours(*pose, "unity"))
+            cells += [str(number) for number in numbers]
+        lines.append(",".join(cells))
+    path = tmp_path / "unity.csv"
+    path.write_text("\n".join(lines))
+    assert same(read_recording(path, "unity").frames, FRAMES)
+    with pytest.raises(InputError, match="does not say its axes"):
+        read_recording(path)
+
+
+def iwer(frames):
+    """What iwer's ActionRecorder logs: rays are somewhere else, poses rounded to 1e-3."""
+    source = {"targetRayMode": "tracked-pointer", "hasGrip": True, "hasHand": False}
+    sides = ("left", "right")
+    lines = []
+    for frame in frames:
+        line = [round(1000 * frame.time_s, 1), *numbers(frame.poses["headset"])]
+        for index, side in enumerate(sides):
+            pose = frame.poses.get(f"{side}_controller")
+            if pose is not None:
+                line.append([index, *[0.0] * 6, 1.0, numbers(pose), [[0, 0, 0], 0.0]])
+        lines.append(line)
+    schema = [[i, source | {"handedness": side}] for i, side in enumerate(sides)]
+    return {"schema": schema, "frames": lines}
+
+
+def numbers(pose):
+    return [round(x, 3) for x in np.concatenate(from_ours(*pose, "openxr")).tolist()]
+
+
+def test_a_recording_of_iwer_is_read_by_its_grips(tmp_path):
+    path = tmp_path / "iwer.json"
+    path.write_text(json.dumps(iwer(FRAMES)))
+    assert same(read_recording(path).frames, FRAMES, 1e-3, 3e-3)
+
+
+HEADER = {"format": "questsim-recording", "version": 1, "convention": "openxr"}
+GOOD = {"t": 0.0, "headset": [0, 1.6, 0, 0, 0, 0, 1]}
+
+
+@pytest.mark.parametrize(
+    ("lines", "says"),
+    [
+        ([], "is empty"),
+        ([HEADER | {"version": 9}, GOOD], "line 1: version is 9"),
+        ([HEADER | {"format": "x"}, GOOD], "line 1: format is 'x'"),
+        ([HEADER | {"convention": "blender"}, GOOD], "unknown convention 'blender'"),
+        ([HEADER, GOOD, GOOD], "frame 2: time goes from"),
+        ([HEADER, GOOD, {"headset": GOOD["headset"]}], "line 3: has no t"),
+        ([HEADER, GOOD | {"headset": [0, 1]}], "line 2: pose of headset has shape"),
+        ([HEADER, GOOD | {"hat": GOOD["headset"]}], "line 2: unknown device 'hat'"),
+        ([HEADER, {"t": 0.0}], "no frame has a headset"),
+        ([HEADER, 5], "line 2: is no JSON object"),
+    ],
+)
+def test_what_is_no_recording_is_refused_with_its_line(tmp_path, lines, says):
+    path = tmp_path / "bad.jsonl.gz"
+    path.write_bytes(gzip.compress("\n".join(map(json.dumps, lines)).encode()))
+    with pytest.raises(InputError, match=says):
+        read_recording(path)
+
+
+def test_a_recording_that_ends_too_early_is_refused(tmp_path):
+    path = tmp_path / "cut.jsonl.gz"
+    write_recording(path, FRAMES)
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(InputError, match="ends too early"):
+        read_recording(path)
+
+
+def test_the_shipped_recording_is_what_its_maker_makes():
+    assert same(read_recording(Path("synthetic")).frames, example_frames(), 2e-4, 1e-3)
+
+
+def test_the_shipped_recording_is_followed_to_its_end():
+    recording = read_recording(Path("synthetic"))
+    assert 115.0 < recording.duration_s < 130.0
+    follower = Follower("questsim")
+    frames = calibrated(follower, recording)
+    assert follower.calibration is not None
+    assert follower.calibration.height_m == pytest.approx(1.68, abs=0.02)
+    poses = replayed(follower, frames)
+    known = [follower.calibration.apply(frame) for frame in frames]
+    track = track_of(known, poses, follower.calibration.floor_m)
+    scores = stream_scores(track)
+    assert scores["seconds"] == pytest.approx(recording.duration_s - 3.0, abs=0.5)
+    assert scores["falls"] <= 2
+    assert scores["mhpe_cm"] < 8.0
+    assert scores["assist_percent"] == 0.0
+
+
+def test_scores_of_an_avatar_that_is_its_user_are_zero():
+    # A kinematic stand-in: the avatar stands where its devices are, for two seconds.
+    frames, _ = stream(
+        SyntheticUser(1.75, arms_deg=(0.0, 0.0), noise_m=0.0, noise_rad=0.0), [], 36.0
+    )
+    follower = Follower("questsim-now", height_m=1.75)
+    pose = follower.step(frames[0])
+    still = [replace(frames[0], time_s=frame.time_s) for frame in frames]
+    timed = [replace(pose, time_s=frame.time_s) for frame in frames]
+    scores = stream_scores(track_of(still, timed))
+    assert scores["seconds"] == pytest.approx(len(frames) / FPS, abs=0.1)
+    assert scores["mhpe_cm"] < 2.0
+    assert scores["jitter_km_s3"] == 0.0 and scores["foot_skate_cm_s"] == 0.0
+    assert scores["penetration_cm"] < 0.1 and scores["falls"] == 0
+
+
+def test_replay_writes_scores_and_refuses_what_it_cannot_write(tmp_path, capsys):
+    path, out = tmp_path / "me.jsonl.gz", tmp_path / "scores.json"
+    write_recording(path, stream(SyntheticUser(1.7), [], 72.0)[0], "openxr")
+    replay(ReplayArgs(path, agent="questsim-now", calibrate=1.5, out=out))
+    scores = json.loads(out.read_text())["scores"]
+    assert scores["falls"] == 0 and "mhpe_cm" in capsys.readouterr().out
+    with pytest.raises(InputError, match="nothing says how tall"):
+        replay(ReplayArgs(path, agent="questsim-now", calibrate=0.0))
+    with pytest.raises(InputError, match=r"no \.json"):
+        replay(ReplayArgs(path, out=tmp_path / "x.doc"))
+
+
+def test_show_plots_the_signals_of_a_recording(tmp_path, capsys):
+    path = tmp_path / "me.jsonl.gz"
+    write_recording(path, stream(SyntheticUser(1.7), [], 72.0)[0], "openxr")
+    show_recording(ShowRecordingArgs(path, agent="questsim-now", calibrate=1.5, out=tmp_path))
+    assert (tmp_path / "me.png").stat().st_size > 20_000
+    assert "headset: reports in 100.0 % of the frames" in capsys.readouterr().out
