@@ -4,6 +4,7 @@ PYTHON ?= python3
 VENV ?= .venv
 PIP_FLAGS ?=
 PYTEST_FLAGS ?= -n 2 --dist loadfile
+COVERAGE ?= --cov=questsim --cov=envs --cov=agents --cov-report=term:skip-covered
 MOTIONS ?= synthetic
 OUT ?= runs/$(shell date +%Y%m%d-%H%M%S)
 PY := $(VENV)/bin/python
@@ -55,7 +56,7 @@ test: $(INSTALLED)  ## everything CI runs: format, lint, types, tests
 	$(PY) -m ruff format --check .
 	$(PY) -m ruff check .
 	$(PY) -m pyright --pythonpath $(PY)
-	$(PY) -m pytest $(PYTEST_FLAGS)
+	$(PY) -m pytest $(PYTEST_FLAGS) $(COVERAGE)
 
 check: format test  ## format, then everything CI runs
 

@@ -54,7 +54,7 @@ class QuestEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         InputError: an argument that cannot be used, in one line.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: ClassVar[dict[str, Any]] = {  # pyright: ignore[reportIncompatibleVariableOverride]
         "render_modes": ["human", "rgb_array"],
         "render_fps": int(FPS),
     }

@@ -191,7 +191,7 @@ def _checked(
 
 
 def _read_own(path: Path) -> Recording:
-    frames, header = [], None
+    frames, header, where = [], None, str(path)
     try:
         with gzip.open(path, "rt", encoding="utf-8") as file:
             for number, text in enumerate(file, 1):

@@ -126,17 +126,16 @@ class InverseKinematics(KinematicSystem):
     def _next(self, signals: DeviceSignals) -> Poses:
         assert self._names is not None
         configuration = self._configuration
+        qpos = configuration.q.copy()
         for device, link, task in self._frames:
             column = self._names.index(device)
             position, quat = signals.position[0, column], signals.quat[0, column]
             if link == "pelvis":
                 position = position + rot.quat_rotate(quat, self._hips)
-                root = np.concatenate([position, quat])
+                # The pelvis's tracker says where the root is; steps refine it with the rest.
+                qpos[:7] = np.concatenate([position, quat])
             turned = rot.quat_multiply(quat, _rest(link))
             task.set_target(mink.SE3(np.concatenate([turned, position])))
-        qpos = configuration.q.copy()
-        # The pelvis's tracker says where the root is; steps refine it with the rest.
-        qpos[:7] = root
         configuration.update(qpos)
         tasks = [*(task for _, _, task in self._frames), self._posture]
         for _ in range(FIRST_ITERATIONS if self._fresh else self.iterations):

@@ -103,7 +103,9 @@ class PoseStream:
         InputError: the system cannot use these devices.
     """
 
-    def __init__(self, system: KinematicSystem, user: Motion, height_m: float, sensors: str):
+    def __init__(
+        self, system: KinematicSystem, user: Motion, height_m: float, sensors: str
+    ) -> None:
         self._system, self._user = system, user
         self._names = system.usable(sensors)
         self._told = readings(user.resampled(SENSOR_FPS), self._names)

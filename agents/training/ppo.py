@@ -45,7 +45,7 @@ class AdaptivePPO(PPO):
         **options: those of stable-baselines3's PPO.
     """
 
-    policy: TorquePolicy
+    policy: TorquePolicy  # pyright: ignore[reportIncompatibleVariableOverride]
     rollout_buffer: TensorRolloutBuffer  # type: ignore[assignment]
 
     def __init__(
