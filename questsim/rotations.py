@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 # Euler angles in gimbal lock are as good as others: SciPy sets the free one to zero.
 warnings.filterwarnings("ignore", message="Gimbal lock detected")
@@ -113,13 +113,18 @@ def continuous(quat: np.ndarray) -> np.ndarray:
 
 
 def resample_quat(quat: np.ndarray, times: np.ndarray, new_times: np.ndarray) -> np.ndarray:
-    """Slerp of ``(T, ..., 4)`` from ``times`` ``(T,)`` to ``new_times`` ``(N,)``, in seconds."""
+    """Slerp of ``(T, ..., 4)`` from ``times`` ``(T,)`` to ``new_times`` ``(N,)``, in seconds.
+
+    As SciPy's ``Slerp`` has it, but of all rotations at once: joint by joint takes four times as
+    long.
+    """
     quat = np.asarray(quat, float)
-    flat = quat.reshape(len(quat), -1, 4)
-    out = np.empty((len(new_times), flat.shape[1], 4))
-    for j in range(flat.shape[1]):
-        out[:, j] = as_quat(Slerp(times, as_rotation(flat[:, j]))(new_times))
-    return out.reshape(len(new_times), *quat.shape[1:])
+    before = np.maximum(np.searchsorted(times, new_times) - 1, 0)
+    share = (new_times - times[before]) / np.diff(times)[before]
+    start, end = as_rotation(quat[before]), as_rotation(quat[before + 1])
+    turn = (start.inv() * end).as_rotvec()
+    turn *= np.repeat(share, len(turn) // len(new_times))[:, None]
+    return as_quat(start * Rotation.from_rotvec(turn), (len(new_times), *quat.shape[1:-1]))
 
 
 def angular_velocity(quat: np.ndarray, fps: float) -> np.ndarray:

@@ -166,6 +166,7 @@ def test_import_writes_a_library_and_prints_how_each_file_was_taken(folder, tmp_
     text = capsys.readouterr().out
     assert "stand: 20 frames, units m (detected), up y (detected), 30 fps" in text
     assert "retargeting error in cm: " in text and "left_knee" in text
+    assert text.count("    feet: still soles at 0.") == 3 and "feet, mean of all: " in text
     library = load_library(out)
     assert len(library.clips) == len(library.motions) == 6
     assert {clip.licence for clip in library.clips} == {"CC0-1.0"}

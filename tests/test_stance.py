@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import swaying_clip
 
 from questsim import rotations as rot
 from questsim.motion import footing as footing_module
@@ -18,6 +19,7 @@ from questsim.motion.retarget_back import to_motion
 from questsim.motion.retarget_stream import StreamRetargeter
 from questsim.motion.spec import load_motions
 from questsim.motion.stance import Soles, from_lean, lean, measure_soles, plant
+from questsim.motion.stance_figures import stance_figures
 from questsim.skeleton import DOFS, FOOT_LINKS, JOINTS
 
 HEIGHT = 1.75
@@ -166,3 +168,27 @@ def test_a_foot_that_rolls_keeps_its_pitch() -> None:
     _, pitch, _ = lean(flat[:, 0])
     np.testing.assert_allclose(pitch[50:], heel_up[50:], atol=np.radians(0.5))
     np.testing.assert_allclose(pitch[:28], 0.0, atol=np.radians(0.5))
+
+
+def test_figures_tell_feet_that_float_from_feet_that_stand(
+    walk: Clip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    motion = spoiled(to_motion(walk))
+    planted = stance_figures(motion, to_clip(motion))
+    assert planted.warnings() == []
+    assert planted.contact > 0.97 and planted.skate_cm_s < planted.file_skate_cm_s + 2.0
+    monkeypatch.setattr(footing_module, "measure_soles", lambda *_: Soles())
+    floating = stance_figures(motion, to_clip(motion))
+    assert floating.sole_cm > 1.0 and floating.tilt_cm > 2.0
+    assert "still soles tilt by" in "; ".join(floating.warnings())
+
+
+def test_figures_are_those_of_a_foot_lifted_by_hand() -> None:
+    clip = swaying_clip()
+    qpos = clip.qpos.copy()
+    qpos[:, 2] += 0.02
+    lifted = clip_from_qpos("lifted", qpos, clip.height_m)
+    found = stance_figures(to_motion(clip), lifted)
+    assert found.sole_cm == pytest.approx(2.0, abs=0.05) and found.tilt_cm < 0.05
+    assert found.still == 1.0 and np.isnan(found.contact)
+    assert found.warnings() == ["still soles are 2.0 cm off the floor"]

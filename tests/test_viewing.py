@@ -407,17 +407,20 @@ def two_clips(monkeypatch):
 @needs_gl
 def test_show_writes_sheet_and_video(two_clips, tmp_path, capsys):
     show_clip(ShowArgs("stand/still", out=tmp_path, columns=2, width=160, height=120))
-    assert sorted(os.listdir(tmp_path)) == ["stand_still.mp4", "stand_still.png"]
+    names = ["stand_still-feet.png", "stand_still.mp4", "stand_still.png"]
+    assert sorted(os.listdir(tmp_path)) == names
+    assert iio.imread(tmp_path / names[0]).shape == (40 + 320 + 200, 480, 3)
     assert iio.imread(tmp_path / "stand_still.mp4").shape == (6, 120, 160, 3)
     assert capsys.readouterr().out.split() == [
         str(tmp_path / "stand_still.png"),
+        str(tmp_path / "stand_still-feet.png"),
         str(tmp_path / "stand_still.mp4"),
     ]
 
 
 def test_show_without_gl_writes_the_sheet_and_one_line(no_gl, two_clips, tmp_path, capsys):
     show_clip(ShowArgs("dance", out=tmp_path))
-    assert os.listdir(tmp_path) == ["dance.png"]
+    assert sorted(os.listdir(tmp_path)) == ["dance-feet.png", "dance.png"]
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1 and "video skipped" in lines[0] and "libosmesa6" in lines[0]
 

@@ -53,14 +53,27 @@ def sole_points() -> np.ndarray:
     return np.array(points).reshape(2, 4, 3)
 
 
-def link_poses(qpos: np.ndarray, height_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Positions ``(T, 16, 3)`` in metres and orientations ``(T, 16, 4)`` of ``(T, 40)`` poses."""
+def link_poses(
+    qpos: np.ndarray, height_m: float, links: Sequence[int] = range(NUM_LINKS)
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions ``(T, n, 3)`` in metres and orientations ``(T, n, 4)`` of ``(T, 40)`` poses.
+
+    Args:
+        qpos: root position and quaternion, joint angles.
+        height_m: the body's stature.
+        links: which ones, by default all 16.
+    """
+    needed = {0}
+    for link in links:
+        while link not in needed:
+            needed.add(link)
+            link = LINK_PARENTS[link]
     frames = len(qpos)
     offsets = link_offsets() * (height_m / DEFAULT_HEIGHT_M)
     position = np.empty((frames, NUM_LINKS, 3))
     quat = np.empty((frames, NUM_LINKS, 4))
     position[:, 0], quat[:, 0] = qpos[:, :3], qpos[:, 3:7]
-    for link in range(1, NUM_LINKS):
+    for link in sorted(needed - {0}):
         parent = LINK_PARENTS[link]
         position[:, link] = position[:, parent] + rot.quat_rotate(quat[:, parent], offsets[link])
         orientation = quat[:, parent]
@@ -69,6 +82,8 @@ def link_poses(qpos: np.ndarray, height_m: float) -> tuple[np.ndarray, np.ndarra
             hinge = np.concatenate([np.cos(half), np.sin(half) * axis], axis=-1)
             orientation = rot.quat_multiply(orientation, hinge)
         quat[:, link] = orientation
+    if len(links) < NUM_LINKS:
+        return position[:, list(links)], quat[:, list(links)]
     return position, quat
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -115,6 +116,7 @@ def import_motions(args: ImportArgs) -> None:
     save_library(out, motions, clips)
     if done:
         _print_errors(done)
+        _print_stances(done)
     print(f"{len(clips)} clips, {sum(c.duration for c in clips):.0f} s, in {out}")
 
 
@@ -136,10 +138,13 @@ def _read(files: Sequence[Path], options: ReadOptions, explain: bool) -> list[Re
     for index, result in enumerate(read_many(files, options, with_error=True)):
         if index < MAX_REPORTS:
             print(f"{result.motion.name}: {len(result.motion)} frames, {result.report}")
+            print(f"    feet: {result.stance}")
             if explain:
                 print("\n".join(result.explanation))
         elif index == MAX_REPORTS:
             print(f"... and {len(files) - MAX_REPORTS} more")
+        for warning in result.stance.warnings() if result.stance else ():
+            print(f"warning: {result.motion.name}: {warning}", file=sys.stderr)
         done.append(result)
     return done
 
@@ -200,3 +205,10 @@ def _print_errors(done: Sequence[Retargeted]) -> None:
     }
     ordered = sorted(mean.items(), key=lambda pair: -pair[1])
     print("retargeting error in cm: " + ", ".join(f"{j} {e:.1f}" for j, e in ordered))
+
+
+def _print_stances(done: Sequence[Retargeted]) -> None:
+    """Mean figures of the feet over all files."""
+    from questsim.motion.stance_figures import mean_figures
+
+    print(f"feet, mean of all: {mean_figures([r.stance for r in done if r.stance])}")

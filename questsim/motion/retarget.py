@@ -19,7 +19,7 @@ from questsim.errors import InputError
 from questsim.motion.checks import stature
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.footing import ANKLES, Footing, footing_of, leg_targets
-from questsim.motion.kinematics import clip_from_qpos, link_poses
+from questsim.motion.kinematics import clip_from_qpos, link_poses, sole_positions
 from questsim.motion.limbs import (
     SIDES,
     ankle_rise,
@@ -32,7 +32,7 @@ from questsim.motion.limbs import (
     leg_ratio,
 )
 from questsim.motion.motion import Motion
-from questsim.motion.stance import lowest_point, plant, sink_for_reach
+from questsim.motion.stance import lowest_point, plant, sink_for_reach, smoothed
 from questsim.skeleton import (
     FOOT_LINKS,
     LINK_JOINTS,
@@ -70,12 +70,12 @@ def to_clip(motion: Motion, footing: Footing | None = None) -> Clip:
     root, ankles = leg_targets(motion, position, quat, height, rise)
     feet = quat[:, ANKLES]
     used = footing or footing_of(ankles, feet, height, rise)
-    ankles, feet = _place_on_floor(used, root, quat, ankles, feet, height)
+    ankles, feet, bears = _place_on_floor(used, root, quat, ankles, feet, height)
     lowest = lowest_point(ankles, feet, height)
     if footing is None:
         ankles[..., 2] += np.maximum(0.0, -lowest)
     allowed = np.minimum(lowest, 0.0) if footing else np.zeros_like(lowest)
-    qpos = _solve_legs(root, quat, ankles, feet, allowed, height, angles)
+    qpos = _solve_legs(root, quat, ankles, feet, allowed, bears, height, angles)
     return clip_from_qpos(
         motion.name,
         qpos,
@@ -95,19 +95,21 @@ def _place_on_floor(
     ankles: np.ndarray,
     feet: np.ndarray,
     height: float,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Put the floor at z = 0 and feet that stand on it; the root ``(T, 3)`` is moved in place.
 
     Returns:
-        ankle targets ``(T, 2, 3)`` and the orientations of the feet ``(T, 2, 4)``.
+        ankle targets ``(T, 2, 3)``, orientations of the feet ``(T, 2, 4)`` and how far each foot
+        is planted ``(T, 2)``, 0 to 1.
     """
     root[:, 2] -= footing.floor_m
     ankles = ankles - [0.0, 0.0, footing.floor_m]
-    if footing.soles.flat:
-        ankles, feet, rise, stands = plant(footing.soles, ankles, feet, height)
-        root[:, 2] += rise
-        root[:, 2] -= sink_for_reach(hips_of(root, quat, height), ankles, stands, leg_m(height))
-    return ankles, feet
+    if not footing.soles.flat:
+        return ankles, feet, np.zeros(ankles.shape[:2])
+    ankles, feet, rise, stands = plant(footing.soles, ankles, feet, height)
+    root[:, 2] += rise
+    root[:, 2] -= sink_for_reach(hips_of(root, quat, height), ankles, stands, leg_m(height))
+    return ankles, feet, smoothed(stands.astype(float))
 
 
 def _solve_legs(
@@ -116,14 +118,19 @@ def _solve_legs(
     ankles: np.ndarray,
     feet: np.ndarray,
     allowed: np.ndarray,
+    bears: np.ndarray,
     height: float,
     angles: np.ndarray,
 ) -> np.ndarray:
     """Solve the legs, twice: what the ankle's hinges lack may press a sole into the floor.
 
+    They lack the foot's yaw, too: planted soles are put where they would be with it, so that they
+    skate no more than the motion's.
+
     Args:
         root, quat, ankles, feet: where pelvis and feet go, ``(T, ...)``.
         allowed: ``(T, 2)`` how low each sole may be.
+        bears: ``(T, 2)`` how far each foot is planted.
         height: the avatar's stature.
         angles: ``(T, 33)`` of which the legs' are filled.
 
@@ -131,7 +138,7 @@ def _solve_legs(
         ``(T, 40)`` poses within the ranges of the hinges.
     """
     limits = build_body().model.jnt_range[1:]
-    links = list(FOOT_LINKS)
+    wanted = sole_positions(ankles, feet, height).mean(axis=-2)
     for attempt in (1, 2):
         for index, side in enumerate(SIDES):
             fill_leg(side, root, quat, ankles[:, index], feet[:, index], height, angles)
@@ -139,9 +146,9 @@ def _solve_legs(
             [root, quat[:, 0], np.clip(angles, limits[:, 0], limits[:, 1])], axis=-1
         )
         if attempt == 1:
-            link_position, link_quat = link_poses(qpos, height)
-            lowest = lowest_point(link_position[:, links], link_quat[:, links], height)
-            ankles[..., 2] += np.maximum(allowed - lowest, 0.0)
+            soles = sole_positions(*link_poses(qpos, height, FOOT_LINKS), height)
+            ankles[..., 2] += np.maximum(allowed - soles[..., 2].min(axis=-1), 0.0)
+            ankles[..., :2] += bears[..., None] * (wanted - soles.mean(axis=-2))[..., :2]
     return qpos
 
 

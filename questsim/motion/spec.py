@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from filelock import FileLock
 
@@ -32,6 +32,9 @@ MAX_ERROR_CM = 15.0
 """A recognised skeleton whose clip is further off in any joint is refused."""
 MANY = 64
 """From this many files on, two processes read them and a progress bar is shown."""
+
+if TYPE_CHECKING:
+    from questsim.motion.stance_figures import StanceFigures
 
 _T = TypeVar("_T", Motion, Clip)
 
@@ -101,18 +104,20 @@ def load_recordings(
 
 @dataclass(frozen=True)
 class Retargeted:
-    """What ``read_and_retarget`` makes of a file; ``error_cm`` is by joint, if asked for."""
+    """What ``read_and_retarget`` makes of a file; errors and feet if asked for."""
 
     motion: Motion
     clip: Clip
     report: str
     error_cm: dict[str, float]
     explanation: tuple[str, ...] = ()
+    stance: StanceFigures | None = None
 
 
 def read_and_retarget(path: Path, options: ReadOptions, with_error: bool = False) -> Retargeted:
     """Reads, checks and retargets one file."""
     from questsim.motion.retarget import retargeting_error, to_clip
+    from questsim.motion.stance_figures import stance_figures
 
     motion, report = read_motion(path, options)
     clip = to_clip(motion)
@@ -126,7 +131,8 @@ def read_and_retarget(path: Path, options: ReadOptions, with_error: bool = False
             path,
             "see import --explain, and name the joints in a mapping file",
         )
-    return Retargeted(motion, clip, str(report), error, report.explanation)
+    stance = stance_figures(motion, clip) if with_error else None
+    return Retargeted(motion, clip, str(report), error, report.explanation, stance)
 
 
 def read_many(

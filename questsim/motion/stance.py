@@ -236,11 +236,13 @@ def plant(
 def _flattened(feet: np.ndarray, stands: np.ndarray) -> np.ndarray:
     """Standing feet turned flat, as far as they do not roll or lean on purpose."""
     yaw, pitch, roll = lean(feet)
-    turns = (
-        gaussian_filter1d(turn, SMOOTH_FRAMES, axis=0, mode="nearest")
-        for turn in flat_turn(pitch, roll, stands)
-    )
-    return from_lean(yaw, pitch - next(turns), roll - next(turns))
+    pitch_turn, roll_turn = flat_turn(pitch, roll, stands)
+    return from_lean(yaw, pitch - smoothed(pitch_turn), roll - smoothed(roll_turn))
+
+
+def smoothed(values: np.ndarray) -> np.ndarray:
+    """A correction ``(T, ...)`` blended in and out."""
+    return gaussian_filter1d(values, SMOOTH_FRAMES, axis=0, mode="nearest")
 
 
 def flat_turn(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from PIL import Image, ImageDraw
 from questsim.files import whole_file
 from questsim.motion.clip import FPS, Clip
 from questsim.skeleton import FEET
+from questsim.viewing.camera import Camera
 from questsim.viewing.captions import INK, caption, font
 from questsim.viewing.films import clip_cameras, title
 from questsim.viewing.gl import NoGLError
@@ -44,11 +45,9 @@ def contact_sheet(clip: Clip, path: str | Path, columns: int = 8, rows: int = 2)
     """
     rows = max(1, min(rows, len(clip) // columns))
     frames = np.linspace(0, len(clip) - 1, min(columns * rows, len(clip))).round().astype(int)
-    try:
-        tiles, rendered = list(_rendered(clip, frames)), True
-    except NoGLError:
-        tiles, rendered = list(_sticks(clip, frames)), False
     width, height = TILE
+    cameras = clip_cameras(clip, width / height, smoothing_s=0.0)
+    tiles, rendered = pictures(clip, frames, [cameras[frame] for frame in frames])
     sheet = Image.new("RGB", (columns * width, HEADER + rows * height + STRIP), (255, 255, 255))
     _draw_header(ImageDraw.Draw(sheet), clip)
     for i, (frame, tile) in enumerate(zip(frames, tiles, strict=True)):
@@ -67,24 +66,35 @@ def contact_sheet(clip: Clip, path: str | Path, columns: int = 8, rows: int = 2)
     return rendered
 
 
-def _rendered(clip: Clip, frames: np.ndarray) -> Iterator[np.ndarray]:
+def pictures(
+    clip: Clip, frames: np.ndarray, cameras: Sequence[Camera]
+) -> tuple[list[np.ndarray], bool]:
+    """A picture of the size of ``TILE`` of each frame, and whether they are rendered.
+
+    Without an OpenGL library they are stick figures.
+    """
+    try:
+        return list(_rendered(clip, frames, cameras)), True
+    except NoGLError:
+        return list(_sticks(clip, frames, cameras)), False
+
+
+def _rendered(clip: Clip, frames: np.ndarray, cameras: Sequence[Camera]) -> Iterator[np.ndarray]:
     from questsim.viewing.render import Figure, SceneRenderer
 
     width, height = TILE
-    cameras = clip_cameras(clip, width / height, smoothing_s=0.0)
     # Twice as large and reduced: shadows have no smooth edges otherwise.
     with SceneRenderer([Figure(clip.height_m)], 2 * width, 2 * height) as renderer:
-        for frame in frames:
-            picture = renderer.render([clip.qpos[frame]], cameras[frame])
+        for frame, camera in zip(frames, cameras, strict=True):
+            picture = renderer.render([clip.qpos[frame]], camera)
             yield np.asarray(Image.fromarray(picture).reduce(2))
 
 
-def _sticks(clip: Clip, frames: np.ndarray) -> Iterator[np.ndarray]:
+def _sticks(clip: Clip, frames: np.ndarray, cameras: Sequence[Camera]) -> Iterator[np.ndarray]:
     width, height = TILE
-    cameras = clip_cameras(clip, width / height, smoothing_s=0.0)
     points = outline_points(clip.link_position, clip.link_quat, clip.height_m)
-    for frame in frames:
-        yield stick_picture(points[frame], cameras[frame], width, height)
+    for frame, camera in zip(frames, cameras, strict=True):
+        yield stick_picture(points[frame], camera, width, height)
 
 
 def _draw_header(draw: ImageDraw.ImageDraw, clip: Clip) -> None:

@@ -21,7 +21,7 @@ __all__ = ["ShowArgs", "rollout_video", "show_clip"]
 
 @dataclass(frozen=True)
 class ShowArgs:
-    """Draw a clip: a contact sheet PNG and an MP4."""
+    """Draw a clip: a contact sheet PNG, one of its feet close up, and an MP4."""
 
     clip: Annotated[str, tyro.conf.Positional]
     """A clip's name in --motions, or a library, BVH or npz file."""
@@ -42,7 +42,7 @@ class ShowArgs:
 
 
 def show_clip(args: ShowArgs) -> None:
-    """Write OUT/CLIP.png and OUT/CLIP.mp4, and print their names.
+    """Write OUT/CLIP.png, OUT/CLIP-feet.png and OUT/CLIP.mp4, and print their names.
 
     Without an OpenGL library the contact sheet has stick figures and one line on stderr says what
     to install for the video.
@@ -51,6 +51,7 @@ def show_clip(args: ShowArgs) -> None:
         InputError: there is no such clip, or an option is out of range.
     """
     from questsim.viewing.contact_sheet import contact_sheet
+    from questsim.viewing.feet_sheet import feet_sheet
 
     at_least(1, columns=args.columns, stride=args.stride)
     at_least(64, width=args.width, height=args.height)
@@ -60,6 +61,9 @@ def show_clip(args: ShowArgs) -> None:
         sheet, film = base.with_name(f"{base.name}.png"), base.with_name(f"{base.name}.mp4")
         contact_sheet(clip, sheet, args.columns)
         print(sheet)
+        feet = base.with_name(f"{base.name}-feet.png")
+        feet_sheet(clip, feet, args.columns)
+        print(feet)
         if args.video and find_gl():
             frames = clip_frames(clip, args.width, args.height, args.stride)
             write_video(film, frames, FPS / args.stride)
