@@ -484,6 +484,31 @@ RIGS: dict[str, Rig] = {
         sides=("左", "右"), pose="A", encoding="shift_jis",
         extra=(("{}腕捩", "left_shoulder", "", (0, 0.14, 0)),),
     ),
+    "OptiTrack Motive": Rig(
+        _body(
+            _spines("Hip", "Ab", "Chest"), "{}Shoulder {}UArm {}FArm {}Hand",
+            "{}Thigh {}Shin {}Foot {}Toe",
+        ),
+        sides=("L", "R"), units="m",
+    ),
+    "Second Life": Rig(
+        _body(
+            _spines("mPelvis", "mTorso", "mChest", neck="mNeck", head="mHead"),
+            "mCollar{} mShoulder{} mElbow{} mWrist{}", "mHip{} mKnee{} mAnkle{} mToe{}",
+        ),
+        units="m", up="z", extra=(("mFoot{}", "left_ankle", "", (0.05, 0, -0.03)),),
+        between=("mFoot{}",),
+    ),
+    "DeepMotion": Rig(
+        _body(
+            _spines("hips_JNT", "spine_JNT", "spine1_JNT", "spine2_JNT", neck="neck_JNT",
+                    head="head_JNT"),
+            "{}_shoulder_JNT {}_arm_JNT {}_forearm_JNT {}_hand_JNT",
+            "{}_upleg_JNT {}_leg_JNT {}_foot_JNT {}_toebase_JNT",
+        ),
+        sides=("l", "r"), extra=(("{}_handIndex1_JNT", "left_wrist", "", (0, 0.09, 0)),),
+        pose="own",
+    ),
     "own axes": Rig(MIXAMO, pose="own"),
     "own axes, z up": Rig(MIXAMO, pose="own", up="z", units="m"),
     "z up with known names": Rig(MIXAMO | {"left_toe": "{}Toe"}, up="z", units="m"),

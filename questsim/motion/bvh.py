@@ -34,6 +34,7 @@ _KEYWORDS = {
 }
 _SITE = -2
 MAX_JOINTS = 2000
+CHUNK = 1000
 DISPLACEMENT = 0.1
 """Position channels whose median is shorter than this share of the offset are added to it."""
 
@@ -54,7 +55,7 @@ def read_bvh(path: str | Path, fps: float | None = None) -> Recording:
     lines = decode(data, path).splitlines()
     header, first = _read_hierarchy(lines, path)
     rate, values = _read_motion(lines, first, header.num_channels, path, fps)
-    if not any(channel.endswith("position") for channel in header.channels[0]):
+    if not any(c.endswith("position") for channels in header.channels for c in channels):
         raise InputError(
             f"the root {header.names[0][:40]!r} has no position channels: the motion does not say "
             "where the performer goes",
@@ -133,16 +134,27 @@ def _read_hierarchy(lines: list[str], path: Path) -> tuple[_Header, int]:
     reader = _HierarchyReader(path)
     for number, line in enumerate(lines):
         words = line.split()
-        # A brace may close the line of what it opens.
-        parts = [words[:-1], ["{"]] if len(words) > 1 and words[-1] == "{" else [words]
-        for part in parts:
-            if part and reader.take(part, number):
+        for part in _parts(words):
+            if reader.take(part, number):
                 return reader.header, number + 1
     raise InputError(
         "file ends inside the joint hierarchy: no MOTION block",
         f"{path}, line {len(lines)}",
         AGAIN,
     )
+
+
+def _parts(words: list[str]) -> list[list[str]]:
+    """A line's words, cut where a brace, or after one another keyword, begins."""
+    parts: list[list[str]] = []
+    for word in words:
+        after_brace = bool(parts) and parts[-1][0] in "{}"
+        new = word in "{}" or after_brace or word.upper() in ("OFFSET", "CHANNELS")
+        if new or not parts:
+            parts.append([word])
+        else:
+            parts[-1].append(word)
+    return parts
 
 
 class _HierarchyReader:
@@ -315,10 +327,13 @@ def _read_values(rows: list[tuple[int, str]], num_channels: int, path: Path) -> 
                 f"{path}, line {number + 1}",
                 AGAIN,
             )
+    values = np.empty((len(rows), num_channels))
     try:
-        # One conversion for the whole block: ten times faster than one a value.
-        values = np.array(" ".join(line for _, line in rows).split(), float)
-        values = values.reshape(len(rows), num_channels)
+        # Many rows at a time are ten times faster than one, all at once take much memory.
+        for begin in range(0, len(rows), CHUNK):
+            chunk = [line for _, line in rows[begin : begin + CHUNK]]
+            numbers = np.array(" ".join(chunk).split(), float)
+            values[begin : begin + CHUNK] = numbers.reshape(len(chunk), num_channels)
         if np.isfinite(values).all() and abs(values).max(initial=0.0) <= MAX_LENGTH:
             return values
     except ValueError:

@@ -48,14 +48,14 @@ ARM: dict[str, _Patterns] = {
         (r"shoulder|schulter", 0.7),
     ),
     "shoulder": (
-        (r"up(per)?arm|humerus|oberarm|腕", 1.0),
+        (r"^u(pper|p)?arm|up(per)?arm|humerus|oberarm|腕", 1.0),
         (r"shldr", 0.9),
-        (r"fore?arm|low(er)?arm|loarm|elbow|radius|hand|wrist|clav|collar|ひじ|手", -1.0),
+        (r"^farm|fore?arm|low(er)?arm|loarm|elbow|radius|hand|wrist|clav|collar|ひじ|手", -1.0),
         (r"arm", 0.7),
         (r"shoulder", 0.6),
     ),
     "elbow": (
-        (r"fore?arm|low(er)?arm|loarm|elbow|radius|ulna|unterarm|ひじ|肘", 1.0),
+        (r"^farm|fore?arm|low(er)?arm|loarm|elbow|radius|ulna|unterarm|ひじ|肘", 1.0),
         (r"arm|shoulder|shldr|hand|wrist|clav|collar", -1.0),
     ),
     "wrist": (

@@ -12,8 +12,8 @@ import numpy as np
 from questsim.errors import InputError
 
 AGAIN = "download or export the file again"
-MAX_FILE_BYTES = 1 << 30
-"""A motion file larger than 1 GiB is refused: an hour at 120 Hz is less than half of it."""
+MAX_FILE_BYTES = 512 << 20
+"""A motion file larger than 512 MiB is refused: half an hour at 120 Hz of 75 joints is less."""
 MIN_FPS, MAX_FPS = 10.0, 1000.0
 """Frame rates beyond these are errors of the file, such as a rate where the time should be."""
 MAX_LENGTH = 1e6
@@ -52,8 +52,8 @@ def read_bytes(path: Path) -> bytes:
     """The file's content; InputError where it is missing, unreadable, empty or too large."""
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
-            size = path.stat().st_size / 2**30
-            raise InputError(f"is {size:.1f} GiB large, more than 1 GiB", path, "cut it in parts")
+            size = path.stat().st_size / 2**20
+            raise InputError(f"is {size:.0f} MiB large, more than 512", path, "cut it in parts")
         data = path.read_bytes()
     except FileNotFoundError:
         raise InputError("no such file", path) from None
