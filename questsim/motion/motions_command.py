@@ -16,7 +16,7 @@ from questsim.errors import InputError
 from questsim.motion.clip import Clip
 from questsim.motion.datasets import DATASETS, fetch
 from questsim.motion.library import load_library, save_library
-from questsim.motion.reading import ReadOptions, read_recording
+from questsim.motion.reading import ReadOptions, explain, read_recording
 from questsim.motion.skeletons import write_mapping
 from questsim.motion.sources import KINDS, motion_files
 from questsim.motion.spec import Retargeted, load_motions, read_many, split_libraries
@@ -104,7 +104,10 @@ def import_motions(args: ImportArgs) -> None:
     files = [file for path in args.paths for file in motion_files(path)]
     files = [file for file in files if file.resolve() != out.resolve()]
     raw, libraries = split_libraries(files)
-    done = _read(raw, options, args.explain)
+    if args.explain:
+        for file in raw[:MAX_REPORTS]:
+            print("\n".join(explain(file, options)))
+    done = _read(raw, options)
     motions, clips = [r.motion for r in done], [r.clip for r in done]
     for file in libraries:
         library = load_library(file)
@@ -132,15 +135,13 @@ def check_library_path(out: Path) -> None:
         raise InputError("no such folder", out.parent, "create it first")
 
 
-def _read(files: Sequence[Path], options: ReadOptions, explain: bool) -> list[Retargeted]:
+def _read(files: Sequence[Path], options: ReadOptions) -> list[Retargeted]:
     """All files, read and retargeted; says of the first ones how they were taken."""
     done = []
     for index, result in enumerate(read_many(files, options, with_error=True)):
         if index < MAX_REPORTS:
             print(f"{result.motion.name}: {len(result.motion)} frames, {result.report}")
             print(f"    feet: {result.stance}")
-            if explain:
-                print("\n".join(result.explanation))
         elif index == MAX_REPORTS:
             print(f"... and {len(files) - MAX_REPORTS} more")
         for warning in result.stance.warnings() if result.stance else ():

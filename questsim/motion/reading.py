@@ -139,6 +139,17 @@ def read_recording(path: Path, fps: float | None = None) -> Recording:
     return (read_asf_amc if suffix == ".amc" else read_bvh)(path, fps)
 
 
+def explain(path: Path, options: ReadOptions) -> tuple[str, ...]:
+    """Lines that say which joint of a file is taken for which of ours, and why.
+
+    Raises:
+        InputError: the file cannot be read, or its skeleton is not recognised.
+    """
+    declared = load_mapping(options.mapping) if options.mapping else None
+    skeleton = find_skeleton(read_recording(path, options.fps), declared)
+    return (f"{path}:", *skeleton.explanation)
+
+
 def _on_own_skeleton(
     recording: Recording, options: ReadOptions, declared: Family | None
 ) -> tuple[Motion, Report]:

@@ -13,6 +13,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+import numpy as np
 from filelock import FileLock
 
 from questsim import rotations, skeleton
@@ -29,7 +30,7 @@ from questsim.motion.sources import content_digest, motion_files
 
 SYNTHETIC = "synthetic"
 MAX_ERROR_CM = 15.0
-"""A recognised skeleton whose clip is further off in any joint is refused."""
+"""A recognised skeleton whose clip is further off in any joint, on average, is refused."""
 MANY = 64
 """From this many files on, two processes read them and a progress bar is shown."""
 
@@ -110,7 +111,6 @@ class Retargeted:
     clip: Clip
     report: str
     error_cm: dict[str, float]
-    explanation: tuple[str, ...] = ()
     stance: StanceFigures | None = None
 
 
@@ -121,18 +121,37 @@ def read_and_retarget(path: Path, options: ReadOptions, with_error: bool = False
 
     motion, report = read_motion(path, options)
     clip = to_clip(motion)
-    recognised = report.skeleton == RECOGNISED and not options.accept
-    error = retargeting_error(motion, clip) if with_error or recognised else {}
-    if recognised and max(error.values()) > MAX_ERROR_CM:
-        joint = max(error, key=lambda name: error[name])
+    error = retargeting_error(motion, clip) if with_error else {}
+    if report.skeleton == RECOGNISED and not options.accept:
+        check_fit(motion, clip, path)
+    stance = stance_figures(motion, clip) if with_error else None
+    return Retargeted(motion, clip, str(report), error, stance)
+
+
+def check_fit(motion: Motion, clip: Clip, path: Path) -> None:
+    """Refuses a recognised skeleton whose clip is far from its motion.
+
+    What the retargeted T-pose is off by is the difference between the performer's proportions and
+    the avatar's; it is taken off.
+
+    Raises:
+        InputError: a joint is further off than ``MAX_ERROR_CM`` on average.
+    """
+    from questsim.motion.retarget import retargeting_error, to_clip
+
+    rotations = np.zeros_like(motion.rotations[:1])
+    rotations[..., 0] = 1.0
+    standing = replace(motion, rotations=rotations, root_position=motion.root_position[:1])
+    expected = retargeting_error(standing, to_clip(standing))
+    error = {j: e - expected[j] for j, e in retargeting_error(motion, clip).items()}
+    joint = max(error, key=lambda name: error[name])
+    if error[joint] > MAX_ERROR_CM:
         raise InputError(
             f"retargeted, the {joint} is {error[joint]:.0f} cm off on average: the skeleton is "
             "not what it was recognised as",
             path,
             "see import --explain, and name the joints in a mapping file",
         )
-    stance = stance_figures(motion, clip) if with_error else None
-    return Retargeted(motion, clip, str(report), error, report.explanation, stance)
 
 
 def read_many(
