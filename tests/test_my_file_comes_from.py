@@ -17,7 +17,8 @@ from mocap_files import (
     write_amass,
     write_bvh,
 )
-from rigs import RIGS, write_rig
+from rig_styles import RIGS
+from rigs import write_rig
 from test_formats import BONES, still_frame, write_amc, write_asf, write_deepmimic
 
 from questsim.cli import main

@@ -1,18 +1,24 @@
 """Files in the styles of many producers import without a mapping, joints where they truly are."""
 
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 from mocap_files import SMPL_JOINTS, standing, write_bvh
-from rigs import MIXAMO, RIGS, Rig, write_rig
+from rig_styles import MIXAMO, RIGS
+from rigs import Rig, write_rig
 
 from questsim import rotations as rot
 from questsim.cli import main
 from questsim.errors import InputError
+from questsim.motion.bvh import read_bvh
 from questsim.motion.families import load_mapping
+from questsim.motion.joint_names import understand
 from questsim.motion.motion import Motion
 from questsim.motion.reading import ReadOptions, read_motion
+from questsim.motion.recognise import find_roles
 from questsim.motion.retarget import retargeting_error, to_clip
 from questsim.motion.spec import MAX_ERROR_CM
 from questsim.skeleton import JOINTS
@@ -155,3 +161,67 @@ def test_joints_of_a_mapping_that_the_file_lacks_are_named(tmp_path):
     rig.write_text("\n".join(lines))
     with pytest.raises(InputError, match="there is no joint 'mixamorig:RightPaw'"):
         read_motion(tmp_path / "a.bvh", ReadOptions(mapping=str(rig)))
+
+
+def chain(*joints: tuple[str, str, tuple[float, float, float]]) -> list[tuple]:
+    """Joints with their parents' names as ``write_bvh`` takes them, sides in both ways."""
+    out: list[tuple] = []
+    names: list[str] = []
+    for name, parent, offset in joints:
+        for side, sign in (("L", 1), ("R", -1)) if "{}" in name else (("", 1),):
+            mine, above = name.format(side), parent.format(side)
+            number = names.index(above) if above else -1
+            out.append((mine, number, (sign * offset[0], *offset[1:])))
+            names.append(mine)
+    return out
+
+
+def test_legs_that_hang_on_the_spine_and_arms_on_the_neck_are_found(tmp_path):
+    # As 3ds Max's Biped has them.
+    joints = chain(
+        ("Bip01", "", (0, 0, 0)), ("Bip01 Pelvis", "Bip01", (0, 0, 0)),
+        ("Bip01 Spine", "Bip01 Pelvis", (0, 10, 0)),
+        ("Bip01 {} Thigh", "Bip01 Spine", (9, -12, 0)), ("Bip01 {} Calf", "Bip01 {} Thigh", (0, -42, 0)),
+        ("Bip01 {} Foot", "Bip01 {} Calf", (0, -41, 0)), ("Bip01 {} Toe0", "Bip01 {} Foot", (0, -6, 13)),
+        ("Bip01 Spine1", "Bip01 Spine", (0, 15, 0)), ("Bip01 Spine2", "Bip01 Spine1", (0, 15, 0)),
+        ("Bip01 Neck", "Bip01 Spine2", (0, 15, 0)), ("Bip01 Head", "Bip01 Neck", (0, 9, 2)),
+        ("Bip01 {} Clavicle", "Bip01 Neck", (3, -3, 0)), ("Bip01 {} UpperArm", "Bip01 {} Clavicle", (14, 0, 0)),
+        ("Bip01 {} Forearm", "Bip01 {} UpperArm", (28, 0, 0)), ("Bip01 {} Hand", "Bip01 {} Forearm", (25, 0, 0)),
+    )  # fmt: skip
+    path = write_bvh(
+        tmp_path / "a.bvh",
+        joints,
+        standing(20, 92),
+        {"Bip01 Neck": np.linspace([0] * 3, [0, 20, 0], 20)},
+    )
+    roles = find_roles(read_bvh(path)).joints
+    expected = {
+        "root": "Bip01 Spine", "spine1": "Bip01 Spine1", "spine2": "Bip01 Spine2",
+        "neck": "Bip01 Neck", "head": "Bip01 Head", "left_hip": "Bip01 L Thigh",
+        "right_clavicle": "Bip01 R Clavicle", "right_wrist": "Bip01 R Hand",
+    }  # fmt: skip
+    assert expected.items() <= roles.items()
+    motion, _ = read_motion(path)
+    assert motion.forward_kinematics()[0][0, JOINTS.index("head"), 2] == pytest.approx(
+        1.56, abs=0.01
+    )
+
+
+def test_vertebrae_called_l5_and_l3_are_not_of_the_left_side():
+    names = understand(
+        ["L5", "L3", "T12", "L_Hip", "LThigh", "RThigh", "lhip", "rhip", "LUArm", "RUArm"]
+    )
+    sides = [name.side for name in names]
+    assert sides == ["", "", "", "left", "left", "right", "left", "right", "left", "right"]
+
+
+def test_no_warning_of_gimbal_lock_reaches_the_user(tmp_path):
+    # The chest turns by 90 degrees about x: the middle of its three hinges.
+    joints = SMPL_JOINTS
+    path = write_bvh(tmp_path / "a.bvh", joints, standing(20, 0.95), {"Spine1": (90, 0, 0)})
+    out = str(tmp_path / "a.npz")
+    done = subprocess.run(
+        [sys.executable, "-m", "questsim", "motions", "import", str(path), "--out", out, "--accept"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0 and not done.stderr, done.stderr

@@ -92,14 +92,7 @@ def read_amass(
     data = read_bytes(path)
     arrays = _load_arrays(path)
     poses, trans = _poses(arrays, path), arrays["trans"]
-    if trans.shape != (len(poses), 3):
-        raise InputError(f"trans has shape {trans.shape}, not {(len(poses), 3)}", path)
-    if not len(poses):
-        raise InputError("motion has no frames", path)
-    for name, array in (("poses", poses), ("trans", trans)):
-        bad = np.flatnonzero(~(abs(array) <= MAX_LENGTH).all(axis=1))
-        if len(bad):
-            raise InputError(f"{name} is not finite in frame {bad[0]}", path, AGAIN)
+    _check_frames(poses, trans, path)
     rotvec = poses[:, : 3 * NUM_BODY_JOINTS].reshape(-1, 3)
     rotations = rot.as_quat(Rotation.from_rotvec(rotvec), (len(poses), NUM_BODY_JOINTS))
     offsets = mean_offsets() if smpl_file is None else _smpl_offsets(smpl_file, arrays)
@@ -117,6 +110,17 @@ def read_amass(
     if smpl_file is None:
         positions[:, 1:] *= height_m or estimate_stature(recording)
     return recording
+
+
+def _check_frames(poses: np.ndarray, trans: np.ndarray, path: Path) -> None:
+    if trans.shape != (len(poses), 3):
+        raise InputError(f"trans has shape {trans.shape}, not {(len(poses), 3)}", path)
+    if not len(poses):
+        raise InputError("motion has no frames", path)
+    for name, array in (("poses", poses), ("trans", trans)):
+        bad = np.flatnonzero(~(abs(array) <= MAX_LENGTH).all(axis=1))
+        if len(bad):
+            raise InputError(f"{name} is not finite in frame {bad[0]}", path, AGAIN)
 
 
 def _poses(arrays: dict[str, np.ndarray], path: Path) -> np.ndarray:
