@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -42,7 +43,8 @@ def imports(source: str) -> set[str]:
             found.update(f"{node.module}.{alias.name}" for alias in node.names)
         elif (
             isinstance(node, ast.Call)
-            and ast.unparse(node.func).endswith(("import_module", "__import__"))
+            and getattr(node.func, "attr", getattr(node.func, "id", ""))
+            in ("import_module", "__import__")
             and node.args
             and isinstance(node.args[0], ast.Constant)
         ):
@@ -54,6 +56,7 @@ def imported_packages(source: str) -> set[str]:
     return {name.partition(".")[0] for name in imports(source)}
 
 
+@cache
 def graph() -> dict[str, set[str]]:
     """Which module of the project imports which."""
     paths = {}
