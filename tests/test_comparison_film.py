@@ -9,7 +9,7 @@ from PIL import Image
 
 from agents.comparison import film as comparison_film
 from agents.comparison.compare import FILES as TABLES
-from agents.comparison.compare import CompareArgs, compare
+from agents.comparison.compare import compare
 from agents.comparison.film import (
     FILES,
     GHOST_OPACITY,
@@ -21,6 +21,7 @@ from agents.comparison.film import (
     parts_of,
     to_be_filmed,
 )
+from agents.comparison.options import CompareArgs
 from agents.evaluation import EvaluateArgs, evaluate
 from agents.kinematic.interface import Poses
 from questsim.errors import InputError

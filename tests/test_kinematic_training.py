@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from agents import precision
-from agents.comparison.compare import CompareArgs, compare
+from agents.comparison.compare import compare
+from agents.comparison.options import CompareArgs
 from agents.kinematic import load_system
 from agents.kinematic.data import MotionBank, motions_record
 from agents.kinematic.fit import Fit

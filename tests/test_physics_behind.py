@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agents.comparison.compare import CompareArgs, compare
+from agents.comparison.compare import compare
+from agents.comparison.options import CompareArgs
 from agents.evaluation import EvaluateArgs, evaluate
 from agents.evaluation.follow import evaluation_sim
 from agents.evaluation.rollout import env_config

@@ -10,7 +10,8 @@ import pytest
 from helpers import swaying_clip
 
 from agents import load_agent
-from agents.comparison.compare import CompareArgs, compare, everyone
+from agents.comparison.compare import compare, everyone
+from agents.comparison.options import CompareArgs
 from agents.evaluation import EvaluateArgs, evaluate
 from agents.kinematic import load_system
 from agents.live.drivers import TorqueDriver

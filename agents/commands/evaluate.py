@@ -5,20 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import torch
 
-from agents.comparison.compare import CompareArgs, at_sensor_rate, compare
-from agents.comparison.run import devices_named, reconstructed, reference, suiting, workers
-from agents.comparison.scenarios import Scenario
+from agents.comparison.options import CompareArgs
 from agents.evaluation.follow import choose_clips
 from agents.evaluation.options import EvaluateArgs, ScorecardArgs, WorldsArgs
 from agents.evaluation.report import evaluation_context, filmed, report
 from agents.evaluation.rollout import env_config, roll_out
 from agents.evaluation.scorecard import format_scorecard, scorecard
 from agents.evaluation.worlds import format_worlds, run_worlds, write_worlds
-from agents.kinematic.physics_behind import follow_poses
-from agents.kinematic.without_physics import pose_rollout
 from agents.loading import load_agent
 from agents.resolve import ESTIMATE_TRACKER, Resolved, resolve
 from envs.config import EnvConfig
@@ -27,6 +24,9 @@ from envs.terrain import terrain_named
 from questsim.errors import InputError, at_least
 from questsim.evaluation_report import check_writable
 from questsim.modes import Mode, Modes
+
+if TYPE_CHECKING:
+    from agents.comparison.scenarios import Scenario
 
 _OF_PHYSICS = ("env", "height", "avatar_height", "terrain", "objects")
 """Options of an environment, which a kinematic system does not have."""
@@ -85,6 +85,11 @@ def _config_of(args: EvaluateArgs, config: EnvConfig) -> EnvConfig:
 
 def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
     """A kinematic system, with or without physics behind it, on what its devices report."""
+    # Not at the top: all systems are imported with these, and a policy is not to wait for them.
+    from agents.comparison.compare import at_sensor_rate
+    from agents.comparison.run import reconstructed, reference, workers
+    from agents.kinematic.physics_behind import follow_poses
+    from agents.kinematic.without_physics import pose_rollout
     from questsim.motion.spec import load_recordings
 
     scenario = _scenario(args)
@@ -116,6 +121,8 @@ def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
 
 def _scenario(args: EvaluateArgs) -> Scenario:
     """The first plain scenario of a kinematic system, with the devices that are asked for."""
+    from agents.comparison.run import devices_named, suiting
+
     suited = suiting(args.agent, devices_named(args.sensors))
     if not suited:
         raise InputError(f"{args.agent} is not used with {args.sensors}", "--sensors")
@@ -160,10 +167,21 @@ def evaluate_scorecard(args: ScorecardArgs) -> int:
     return 0
 
 
+def evaluate_comparison(args: CompareArgs) -> int:
+    """See ``agents.comparison.compare``; returns the exit code.
+
+    Raises:
+        InputError: nothing to compare, or what cannot be used.
+    """
+    from agents.comparison.compare import compare
+
+    return compare(args)
+
+
 _BY_FLAG = {
     "--worlds": Mode("--worlds", WorldsArgs, evaluate_worlds),
     "--scorecard": Mode("--scorecard", ScorecardArgs, evaluate_scorecard),
-    "--compare": Mode("--compare", CompareArgs, compare),
+    "--compare": Mode("--compare", CompareArgs, evaluate_comparison),
 }
 _ONE_AGENT = Mode("--agent NAME", EvaluateArgs, evaluate)
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from agents.kinematic.options import TrainSystemArgs
-from agents.kinematic.registry import AGENTS
-from agents.kinematic.training import train_system
 from agents.training.options import TrainArgs
 from agents.training.train_policy import train
 from questsim.errors import InputError
@@ -15,8 +13,21 @@ from questsim.modes import Mode, Modes
 POLICY = "policy"
 """Of ``--agent``: a torque policy, as without the option."""
 
+
+def train_kinematic(args: TrainSystemArgs) -> int:
+    """See ``agents.kinematic.training``; returns the exit code.
+
+    Raises:
+        InputError: for options, motions or a run folder that cannot be used.
+    """
+    # Not at the top: all systems are imported with it, and a policy is not to wait for them.
+    from agents.kinematic.training import train_system
+
+    return train_system(args)
+
+
 _POLICY = Mode(f"--agent {POLICY}", TrainArgs, train)
-_SYSTEM = Mode("--agent SYSTEM", TrainSystemArgs, train_system)
+_SYSTEM = Mode("--agent SYSTEM", TrainSystemArgs, train_kinematic)
 
 
 def _choose(words: Sequence[str]) -> tuple[Mode, list[str]]:
@@ -31,6 +42,8 @@ def _choose(words: Sequence[str]) -> tuple[Mode, list[str]]:
         agent = value if equals else next(waiting, "")
     if agent == POLICY:
         return _POLICY, rest
+    from agents.kinematic.registry import AGENTS  # not at the top, see below
+
     if agent not in AGENTS:
         known = ", ".join((POLICY, *AGENTS))
         raise InputError(f"there is no {agent!r} to train", "--agent", f"use one of {known}")
