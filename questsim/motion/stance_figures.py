@@ -19,6 +19,8 @@ from questsim.skeleton import FOOT_LINKS
 SOLE_BAR_CM, SOLE_P90_BAR_CM, TILT_BAR_CM, CONTACT_BAR = 0.7, 1.5, 1.0, 0.97
 WALKING_M_S = (0.3, 2.0)
 """The root's horizontal speed in frames that count as walking, scaled with height."""
+MAX_VERTICAL_M_S, MAX_FALL_M_S2 = 0.6, 5.0
+"""Frames in which the root moves faster up or down, or falls faster, are of a jump."""
 MIN_WALKING_FRAMES = 18
 SKATE_MARGIN_CM_S = 2.0
 
@@ -85,6 +87,8 @@ def stance_figures(motion: Motion, clip: Clip) -> StanceFigures:
     still = still_feet(ankles, recorded, height) & ~lifted
     speed = np.linalg.norm(central_difference(clip.qpos[:, :2]), axis=-1) / ratio
     walks = (speed > WALKING_M_S[0]) & (speed < WALKING_M_S[1])
+    vertical = central_difference(clip.qpos[:, 2])
+    walks &= (np.abs(vertical) < MAX_VERTICAL_M_S) & (central_difference(vertical) > -MAX_FALL_M_S2)
     contact = np.nan
     if walks.sum() >= MIN_WALKING_FRAMES:
         contact = float(clip.contacts[walks].any(axis=1).mean())
