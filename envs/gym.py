@@ -33,10 +33,11 @@ def spaces_of(sim: BatchSim) -> tuple[gym.spaces.Box, gym.spaces.Box]:
 class QuestEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
     """One avatar that follows clips: a batch of one, bit-identical to a row of a larger batch.
 
-    ``info`` of each step and reset: the reward's terms by name, ``error_m``, ``fell``, ``clip``,
-    ``frame``, ``floor_m`` (height of the ground under the avatar), ``push_n`` ``(3,)``,
-    ``foot_force_n`` ``(2, 3)`` of the ground, ``object_pose`` ``(objects, 7)`` and
-    ``object_force_n`` ``(objects, 3)`` of the avatar on each, all in the world.
+    ``info`` of each step and reset: the reward's terms by name, ``error_m``, ``fell``, ``clip`` (an
+    index into ``sim.reference.names``, since libraries make tensors of infos), ``frame``,
+    ``floor_m`` (height of the ground under the avatar), ``push_n`` ``(3,)``, ``foot_force_n``
+    ``(2, 3)`` of the ground, ``object_pose`` ``(objects, 7)`` and ``object_force_n``
+    ``(objects, 3)`` of the avatar on each, all in the world.
 
     ``reset(options={"clip": name_or_index, "frame": 0})`` starts a given clip; otherwise clip and
     frame are drawn. Copies and pickles are made anew from these arguments: they begin no episode.

@@ -26,9 +26,8 @@ def info_arrays(sim: BatchSim, fresh: np.ndarray | None = None) -> dict[str, np.
     if fresh is not None:
         for values in infos.values():
             values[fresh] = 0
-    names = np.array(sim.reference.names, dtype=object)
     return infos | {
-        "clip": names[clip],
+        "clip": clip.copy(),
         "frame": sim.frame - sim.reference.start[clip],
         "floor_m": sim.floor.copy(),
         "push_n": sim.pusher.force.copy(),
@@ -39,7 +38,7 @@ def info_arrays(sim: BatchSim, fresh: np.ndarray | None = None) -> dict[str, np.
 
 
 def info_of(sim: BatchSim, fresh: bool) -> dict[str, Any]:
-    """The same of a batch of one: numbers, strings and arrays without the batch's axis."""
+    """The same of a batch of one: numbers and arrays without the batch's axis."""
     arrays = info_arrays(sim, np.ones(1, bool) if fresh else None)
     return {
         name: values[0] if values.ndim > 1 else values.tolist()[0]

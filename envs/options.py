@@ -25,6 +25,24 @@ Motions = str | Clip | Sequence[Clip]
 _T = TypeVar("_T")
 
 
+class UnknownOptionError(InputError, TypeError):
+    """A keyword that is no option.
+
+    Also a ``TypeError`` in Python's own words, by which libraries find out what a constructor
+    takes (TorchRL tries ``frameskip``). gymnasium raises such errors again with all arguments
+    behind the message: clips would fill the screen, so that part is dropped.
+    """
+
+    def __init__(self, name: Any, known: Sequence[str] = ()) -> None:
+        if known:
+            near = difflib.get_close_matches(str(name), known, 1)
+            hint = f" (did you mean {near[0]}?)" if near else ""
+            what = f"unexpected keyword argument {_shown(name)}{hint}"
+            super().__init__(what, "options", f"there are {', '.join(known)}")
+        else:
+            super().__init__(str(name).partition(" was raised from the environment creator")[0])
+
+
 def clips_of(motions: Any) -> Sequence[Clip]:
     """Clips as they are, or those that a motion argument names.
 
@@ -72,7 +90,7 @@ def config_from(options: Mapping[str, Any]) -> EnvConfig:
     known = [field.name for field in fields(EnvConfig)]
     for name in options:
         if name not in known:
-            raise InputError(_unknown(name, known), "options", f"there are {', '.join(known)}")
+            raise UnknownOptionError(name, known)
     return EnvConfig(**{name: _PLAIN.get(name, _same)(v) for name, v in options.items()})
 
 
