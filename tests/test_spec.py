@@ -164,7 +164,7 @@ def test_import_writes_a_library_and_prints_how_each_file_was_taken(folder, tmp_
     out = tmp_path / "lib.npz"
     import_motions(ImportArgs(paths=(str(folder),), out=str(out), mirrored=True, licence="CC0-1.0"))
     text = capsys.readouterr().out
-    assert "stand: 20 frames, units m (detected), up y (detected), 30 fps" in text
+    assert "stand: 20 frames, SMPL skeleton, units m (detected), up y (detected), 30 fps" in text
     assert "retargeting error in cm: " in text and "left_knee" in text
     assert text.count("    feet: still soles at 0.") == 3 and "feet, mean of all: " in text
     library = load_library(out)
@@ -190,7 +190,7 @@ def test_import_writes_nothing_if_one_file_is_bad(folder, tmp_path):
         ({"paths": ()}, "no files given"),
         ({"paths": ("nowhere",)}, "no such file or folder"),
         ({"units": "miles"}, "units 'miles'"),
-        ({"fps": -3.0}, "not above zero"),
+        ({"fps": -3.0}, "not within 10-1000"),
     ],
 )
 def test_import_refuses_wrong_arguments(changes, reason, folder, tmp_path, monkeypatch):
