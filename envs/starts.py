@@ -30,6 +30,7 @@ class Starts:
 
     Attributes:
         standing: share that begins upright, arms hanging, at rest, where the reference is.
+        still: share that begins in the reference's pose, at rest.
         disturbed: share that begins in the reference's pose with the errors below, each drawn
             evenly up to its greatest value, in any direction.
         lean_m: the avatar leans as a whole so far that its centre of mass is off by this, ...
@@ -43,6 +44,7 @@ class Starts:
     """
 
     standing: float = 0.0
+    still: float = 0.0
     disturbed: float = 0.0
     lean_m: float = 0.1
     speed_m_s: float = 0.6
@@ -51,11 +53,10 @@ class Starts:
     joints_rad: float = 0.1
 
     def __post_init__(self) -> None:
-        check_range("shares", (0.0, self.standing), 0.0, 1.0, "starts.standing")
-        check_range("shares", (0.0, self.disturbed), 0.0, 1.0, "starts.disturbed")
-        if self.standing + self.disturbed > 1.0:
-            total = self.standing + self.disturbed
-            raise InputError(f"standing and disturbed come to {total:g}", "starts", "at most 1")
+        for name in ("standing", "still", "disturbed"):
+            check_range("share", (0.0, getattr(self, name)), 0.0, 1.0, f"starts.{name}")
+        if self.total > 1.0:
+            raise InputError(f"shares come to {self.total:g}", "starts", "at most 1")
         for name, most in (
             ("lean_m", 0.5),
             ("speed_m_s", 3.0),
@@ -64,6 +65,11 @@ class Starts:
             ("joints_rad", 1.0),
         ):
             check_range(name, (0.0, getattr(self, name)), 0.0, most, f"starts.{name}")
+
+    @property
+    def total(self) -> float:
+        """Share of the episodes that do not begin in the reference's own state."""
+        return self.standing + self.still + self.disturbed
 
 
 class Beginnings:
@@ -103,11 +109,12 @@ class Beginnings:
                 ``(m, 40)`` of simulations ``ids``.
         """
         options = self._options
-        if options is None or options.standing + options.disturbed == 0.0 or len(ids) == 0:
+        if options is None or options.total == 0.0 or len(ids) == 0:
             return
         numbers = self._random.draw(ids, clips, _NUMBERS)
         standing = numbers[:, 0] < options.standing
         disturbed = ~standing & (numbers[:, 0] < options.standing + options.disturbed)
+        qvel[~standing & ~disturbed & (numbers[:, 0] < options.total)] = 0.0
         qpos[standing, 3:7] = rot.yaw_quat(rot.heading(qpos[standing, 3:7]))
         qpos[standing, 7:], qvel[standing] = 0.0, 0.0
         self._disturb(disturbed, numbers[disturbed], self._heights[ids], qpos, qvel)

@@ -137,6 +137,8 @@ class SensorNoise:
         latency_frames: frames by which every signal is late.
         dropout: chance a frame that a device falls silent ...
         dropout_frames: ... and for how many frames it then repeats its last pose.
+        mount_m: greatest distance by which a device is mounted off for all of a clip ...
+        mount_rad: ... and greatest angle.
     """
 
     position_std_m: float = 0.0
@@ -144,6 +146,8 @@ class SensorNoise:
     latency_frames: int = 0
     dropout: float = 0.0
     dropout_frames: int = 36
+    mount_m: float = 0.0
+    mount_rad: float = 0.0
 
     def apply(
         self, position: np.ndarray, quat: np.ndarray, rng: np.random.Generator
@@ -151,6 +155,8 @@ class SensorNoise:
         """Disturbed copies of a clip's device poses ``(T, D, 3)`` and ``(T, D, 4)``."""
         frames, devices = position.shape[:2]
         late = np.maximum(np.arange(frames) - self.latency_frames, 0)
+        if self.mount_m or self.mount_rad:
+            position, quat = self._mounted(position, quat, rng)
         position = position[late] + rng.normal(0.0, 1.0, position.shape) * self.position_std_m
         turn = Rotation.from_rotvec(
             rng.normal(0.0, 1.0, (frames * devices, 3)) * self.rotation_std_rad
@@ -162,6 +168,18 @@ class SensorNoise:
             quat[:, device] = quat[shown, device]
         return position, quat
 
+    def _mounted(
+        self, position: np.ndarray, quat: np.ndarray, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Poses of devices that sit elsewhere on their links, turned."""
+        devices = position.shape[1]
+        offset, turn = rng.normal(0.0, 1.0, (2, devices, 3))
+        size = rng.random((2, devices, 1))
+        offset *= self.mount_m * size[0] / np.linalg.norm(offset, axis=-1, keepdims=True)
+        turn *= self.mount_rad * size[1] / np.linalg.norm(turn, axis=-1, keepdims=True)
+        turned = rot.as_quat(Rotation.from_rotvec(turn))
+        return position + rot.quat_rotate(quat, offset), rot.quat_multiply(quat, turned)
+
     def _shown_frames(self, frames: int, rng: np.random.Generator) -> np.ndarray:
         """For each frame the frame whose pose is delivered, ``(T,)``."""
         shown, silent_until = np.arange(frames), -1
@@ -172,3 +190,14 @@ class SensorNoise:
             if frame <= silent_until:
                 shown[frame] = shown[frame - 1]
         return shown
+
+
+REAL_DEVICES = SensorNoise(
+    position_std_m=0.005,
+    rotation_std_rad=np.radians(1.0),
+    dropout=0.005,
+    dropout_frames=18,
+    mount_m=0.03,
+    mount_rad=np.radians(10.0),
+)
+"""As headsets and controllers are when they are put on quickly and seen badly."""

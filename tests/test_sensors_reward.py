@@ -76,6 +76,20 @@ def test_noise_latency_and_dropout() -> None:
     np.testing.assert_array_equal(clean, position)
 
 
+def test_a_device_mounted_off_keeps_its_place_on_the_link_while_that_turns():
+    turning = Rotation.from_euler("z", np.linspace(0.0, 2.0, 50))
+    quat = rot.as_quat(turning)[:, None].repeat(2, axis=1)
+    position = np.zeros((50, 2, 3))
+    noise = SensorNoise(mount_m=0.03, mount_rad=0.17)
+    moved, turned = noise.apply(position, quat, np.random.default_rng(0))
+    for device in range(2):
+        inside = turning.inv().apply(moved[:, device])
+        np.testing.assert_allclose(inside, np.tile(inside[0], (50, 1)), atol=1e-12)
+        assert 0.0 < np.linalg.norm(inside[0]) <= 0.03
+        off = turning.inv() * rot.as_rotation(turned[:, device])
+        assert 0.0 < off.magnitude().max() <= 0.17
+
+
 def test_terms_of_a_hand_computed_case() -> None:
     a, b = np.zeros((1, 33)), np.full((1, 33), 0.1)
     assert reward.tracking(a, b, 40.0)[0] == pytest.approx(np.exp(-0.4))

@@ -67,3 +67,10 @@ def test_a_rare_kind_comes_more_often_than_its_frames():
     clips, _ = Sampler(sim.reference, weighted=True, by_kind=True).draw(numbers)
     # Kinds of 16 to 1 frames come 4 to 1.
     assert np.mean(clips == 16) == pytest.approx(0.2, abs=0.03)
+
+
+def test_a_still_start_has_the_references_pose_at_rest():
+    sim = sim_with(Starts(still=1.0), fixed_start=False)
+    assert not sim.qvel.any()
+    rows = sim.reference.qpos[sim.frame]
+    np.testing.assert_allclose(sim.joint_angles, rows[:, 7:], atol=1e-6)

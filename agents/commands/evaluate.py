@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
 import torch
@@ -20,16 +20,19 @@ from agents.loading import load_agent
 from agents.resolve import ESTIMATE_TRACKER, Resolved, resolve
 from envs.config import EnvConfig
 from envs.objects import objects_named
+from envs.starts import Starts
 from envs.terrain import terrain_named
 from questsim.errors import InputError, at_least
 from questsim.evaluation_report import check_writable
 from questsim.modes import Mode, Modes
+from questsim.sensors import REAL_DEVICES
 
 if TYPE_CHECKING:
     from agents.comparison.scenarios import Scenario
 
-_OF_PHYSICS = ("env", "height", "avatar_height", "terrain", "objects")
+_OF_PHYSICS = ("env", "height", "avatar_height", "terrain", "objects", "begin", "noise")
 """Options of an environment, which a kinematic system does not have."""
+_STARTS = {"reference": None, "still": Starts(still=1.0), "standing": Starts(standing=1.0)}
 
 
 def evaluate(args: EvaluateArgs) -> int:
@@ -67,20 +70,23 @@ def evaluate(args: EvaluateArgs) -> int:
 
 def _refuse_unused(args: EvaluateArgs, options: Sequence[str]) -> None:
     """Refuse what this agent has no use for, and a height that another one overrides."""
+    plain = {field.name: field.default for field in fields(EvaluateArgs)}
     for option in options:
-        if getattr(args, option) not in (None, ()):
+        if getattr(args, option) != plain[option]:
             raise InputError(f"does not go with {args.agent}", f"--{option.replace('_', '-')}")
     if args.height is not None and args.avatar_height is not None:
         raise InputError("does not go with --avatar-height", "--height", "give one of them")
 
 
 def _config_of(args: EvaluateArgs, config: EnvConfig) -> EnvConfig:
-    """The environment with the ground and the objects that are asked for."""
+    """The environment with the ground, objects, start and devices that are asked for."""
     if args.terrain is not None:
         config = replace(config, terrain=terrain_named(args.terrain, "--terrain"))
     if args.objects:
         config = replace(config, objects=objects_named(args.objects, "--objects"))
-    return config
+    if args.noise:
+        config = replace(config, noise=REAL_DEVICES)
+    return replace(config, starts=_STARTS[args.begin])
 
 
 def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:

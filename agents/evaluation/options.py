@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from agents.resolve import DEFAULT_POLICY
+
+Begin = Literal["reference", "still", "standing"]
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,12 @@ class EvaluateArgs:
     """Ground to walk on, e.g. rough or rough:amplitude_m=0.08, instead of the environment's."""
     objects: tuple[str, ...] = ()
     """Objects on the clips' paths: ball, box, hurdle, chair."""
+    begin: Begin = "reference"
+    """How the avatar begins: in the user's own state; in the user's pose, at rest; or standing
+    upright, at rest, where the user is."""
+    noise: bool = False
+    """Devices as real ones are: 5 mm and 1 degree of noise, mounted up to 3 cm and 10 degrees off,
+    silent for up to half a second every few seconds."""
     sensors: str | None = None
     """The devices of a kinematic system, a set by name, e.g. H+2C or 6T; by default the first that
     it is compared with."""

@@ -17,6 +17,7 @@ import numpy as np
 
 from agents.agent import Agent
 from agents.evaluation.follow import choose_clips, evaluation_sim, follow
+from agents.evaluation.standing_pushes import standing_rows
 from agents.run_folder import plain
 from envs.config import EnvConfig
 from envs.core import BatchSim
@@ -157,6 +158,7 @@ def run_worlds(
         if max_clips is not None:
             chosen = choose_clips(chosen, max_clips)
         rows.append(_row(world, agent, chosen, config, threads, seed))
+    rows += standing_rows(agent, config, threads)
     return {"rows": rows, "speed": terrain_speed(grouped, config, threads)}
 
 
