@@ -77,7 +77,7 @@ def test_noise_latency_and_dropout() -> None:
 
 
 def test_a_device_mounted_off_keeps_its_place_on_the_link_while_that_turns():
-    turning = Rotation.from_euler("z", np.linspace(0.0, 2.0, 50))
+    turning = Rotation.from_rotvec(np.linspace(0.0, 2.0, 50)[:, None] * [0.0, 0.0, 1.0])
     quat = rot.as_quat(turning)[:, None].repeat(2, axis=1)
     position = np.zeros((50, 2, 3))
     noise = SensorNoise(mount_m=0.03, mount_rad=0.17)

@@ -26,6 +26,7 @@ from questsim.cli import main
 from questsim.errors import InputError
 from questsim.motion.library import save_library
 from questsim.motion.retarget_back import to_motion
+from questsim.motion.spec import load_motions
 
 ROOT = Path(__file__).parents[1]
 CLIPS = [
@@ -33,6 +34,9 @@ CLIPS = [
     replace(gliding_clip(0.0, frames=20), name="wave", kind="wave-left-hand"),
     replace(gliding_clip(0.0, frames=20), name="squat", kind="squat"),
 ]
+
+KNOWN = {clip.name: clip for clip in [*CLIPS, *load_motions("synthetic:stand")]}
+"""What the table plays; who stands is pushed in copies of a clip, numbered behind its name."""
 
 
 class Ghost:
@@ -49,7 +53,7 @@ class Ghost:
     def act(self, obs: np.ndarray) -> np.ndarray:
         sim = self._sim
         for i, clip in enumerate(sim.reference.names):
-            placed = sim.placed_clip(i, next(c for c in CLIPS if c.name == clip))
+            placed = sim.placed_clip(i, KNOWN.get(clip) or KNOWN[clip.rpartition("-")[0]])
             row = min(sim.frame[i] - sim.reference.start[i] + 1, len(placed) - 1)
             sim.qpos[i, :40], sim.qvel[i, :39] = placed.qpos[row], placed.qvel[row]
         return np.zeros((len(obs), 33))
