@@ -11,6 +11,7 @@ import torch
 from helpers import swaying_clip
 
 from agents.agent import Needs, RandomAgent, ZeroAgent
+from agents.commands.evaluate import _config_of
 from agents.evaluation import EvaluateArgs, evaluate
 from agents.evaluation.follow import evaluation_sim, follow
 from agents.evaluation.rollout import env_config, roll_out
@@ -209,6 +210,20 @@ def test_command_without_folder_writes_nothing(library, tmp_path, monkeypatch, c
     assert evaluate(EvaluateArgs("zero", str(library), max_clips=2, threads=1)) == 0
     assert "success" in capsys.readouterr().out
     assert [p.name for p in tmp_path.iterdir() if p.name != "MUJOCO_LOG.TXT"] == []
+
+
+def test_begin_and_noise_change_how_avatars_begin_and_what_they_are_shown(clips):
+    plain = env_config(ZeroAgent())
+    args = EvaluateArgs("zero", begin="standing", noise=True)
+    sims = [evaluation_sim(clips, config) for config in (plain, _config_of(args, plain))]
+    for sim in sims:
+        sim.reset()
+    assert not sims[1].joint_angles.any()
+    assert sims[0].joint_angles.any()
+    moved = sims[1].reference.dev_position - sims[0].reference.dev_position
+    # 3 cm of mount and 5 mm of noise.
+    assert 0.005 < np.abs(moved).mean() < 0.03
+    assert _config_of(EvaluateArgs("zero"), plain) == plain
 
 
 def test_video_without_folder_and_unknown_agents_are_refused(library, tmp_path):
