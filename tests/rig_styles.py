@@ -260,6 +260,15 @@ RIGS: dict[str, Rig] = {
         sides=("l", "r"), extra=(("{}_handIndex1_JNT", "left_wrist", "", (0, 0.09, 0)),),
         pose="own",
     ),
+    "Chinese names": Rig(
+        _body(
+            _spines("骨盆", "脊椎", "脊椎1", neck="颈", head="头"),
+            "{}锁骨 {}上臂 {}前臂 {}手", "{}大腿 {}小腿 {}脚 {}脚趾",
+        ),
+        sides=("左", "右"),
+    ),
+    "zero pose of another up axis": Rig(MIXAMO, rest_up="z", pose="A"),
+    "zero pose that faces sideways": Rig(MIXAMO, rest_yaw=90.0, up="z"),
     "own axes": Rig(MIXAMO, pose="own"),
     "own axes, z up": Rig(MIXAMO, pose="own", up="z", units="m"),
     "z up with known names": Rig(MIXAMO | {"left_toe": "{}Toe"}, up="z", units="m"),

@@ -46,6 +46,7 @@ class Rig:
             has axes of its own).
         rest_frame: whether the first frame is a T-pose.
         up, units: of the file.
+        rest_up, rest_yaw: up axis, if it is another, and heading in degrees of the zero pose.
         order: of the rotation channels.
         all_positions: whether every joint has position channels.
         tips: whether End Sites say where bones end.
@@ -59,6 +60,8 @@ class Rig:
     pose: str = "T"
     rest_frame: bool = False
     up: str = "y"
+    rest_up: str = ""
+    rest_yaw: float = 0.0
     units: str = "cm"
     order: str = "ZXY"
     all_positions: bool = False
@@ -191,13 +194,15 @@ def write_rig(path: Path, rig: Rig) -> Motion:
     motion = true_motion(rig)
     position, quat = motion.forward_kinematics()
     world = Rotation.from_matrix(world_axes(rig.up).T)
+    zero = Rotation.from_matrix(world_axes(rig.rest_up or rig.up).T)
+    zero = zero * Rotation.from_euler("z", rig.rest_yaw, degrees=True)
     rest = _rest(rig)
     rows = _rows(rig)
     rng = np.random.default_rng(5)
     own: list[Rotation] = []  # each file joint's frame in our joint's
     for row in rows:
         follows = rest.get(row.follows, Rotation.identity())
-        frame = follows.inv() * world.inv()
+        frame = follows.inv() * zero.inv()
         if rig.pose == "own" and row.parent >= 0:
             frame = frame * Rotation.from_quat(rng.normal(size=4))
         own.append(frame if row.follows != "still" else Rotation.identity())

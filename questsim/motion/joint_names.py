@@ -23,51 +23,57 @@ _SIDES = {
 _Patterns = tuple[tuple[str, float], ...]
 LEG: dict[str, _Patterns] = {
     "hip": (
-        (r"hipjoint|buttock|足首|足先|ひざ", -0.5),
-        (r"up(per)?leg|thigh|femur|oberschenkel", 1.0),
-        (r"low(er)?leg|loleg|foreleg|knee|shin|calf|tibia|ankle|foot|toe", -1.0),
+        (r"hipjoint|buttock|足首|足先|ひざ|小腿", -0.5),
+        (r"up(per)?leg|legup|thigh|femur|oberschenkel|大腿", 1.0),
+        (r"low(er)?leg|leglow|loleg|foreleg|knee|shin|calf|tibia|ankle|foot|toe|脚", -1.0),
         (r"hip", 0.8),
         (r"leg|足", 0.6),
     ),
     "knee": (
-        (r"low(er)?leg|loleg|knee|shin|calf|tibia|crus|unterschenkel|ひざ|膝", 1.0),
-        (r"up(per)?leg|thigh|femur|hip|ankle|foot|toe|足首", -1.0),
+        (r"low(er)?leg|leglow|loleg|knee|shin|calf|tibia|crus|unterschenkel|ひざ|膝|小腿", 1.0),
+        (r"up(per)?leg|legup|thigh|femur|hip|ankle|foot|toe|足首|大腿|脚", -1.0),
         (r"leg", 0.6),
     ),
     "ankle": (
         (r"ankle|足首", 1.0),
         (r"toe|ball|leg|thigh|knee|shin|calf", -1.0),
-        (r"foot|fuss", 0.9),
+        (r"foot|fuss|脚$", 0.9),
     ),
-    "toe": ((r"toe|ball|つま先", 1.0), (r"foot|midfoot", 0.5), (r"leg|ankle|knee", -1.0)),
+    "toe": ((r"toe|ball|つま先|趾", 1.0), (r"foot|midfoot", 0.5), (r"leg|ankle|knee", -1.0)),
 }
 ARM: dict[str, _Patterns] = {
     "clavicle": (
-        (r"clav|collar|scapula|肩", 1.0),
+        (r"clav|collar|scapula|肩|锁骨", 1.0),
         (r"arm|elbow|hand|wrist|shldr", -1.0),
         (r"shoulder|schulter", 0.7),
     ),
     "shoulder": (
-        (r"^u(pper|p)?arm|up(per)?arm|humerus|oberarm|腕", 1.0),
+        (r"^u(pper|p)?arm|up(per)?arm|armup|humerus|oberarm|腕|上臂", 1.0),
         (r"shldr", 0.9),
-        (r"^farm|fore?arm|low(er)?arm|loarm|elbow|radius|hand|wrist|clav|collar|ひじ|手", -1.0),
+        (
+            r"^farm|fore?arm|low(er)?arm|armlow|loarm|elbow|radius|hand|wrist|clav|collar|ひじ|手|前臂",
+            -1.0,
+        ),
         (r"arm", 0.7),
         (r"shoulder", 0.6),
     ),
     "elbow": (
-        (r"^farm|fore?arm|low(er)?arm|loarm|elbow|radius|ulna|unterarm|ひじ|肘", 1.0),
+        (
+            r"^farm|fore?arm|low(er)?arm|armlow|loarm|elbow|radius|ulna|unterarm|ひじ|肘|前臂|小臂",
+            1.0,
+        ),
         (r"arm|shoulder|shldr|hand|wrist|clav|collar", -1.0),
     ),
     "wrist": (
         (r"wrist|手首", 1.0),
         (r"arm|elbow|shoulder|radius|clav", -1.0),
-        (r"hand|palm|paw", 0.9),
+        (r"hand|palm|paw|手$", 0.9),
     ),
 }
 HIPS = re.compile(r"hip|pelvis|下半身|センター")
 SPINE = re.compile(r"spine|chest|torso|abdomen|waist|back|thorax|rib|lumbar|trunk|belly|上半身")
-NECK = re.compile(r"neck|cervical|首")
-HEAD = re.compile(r"head|skull|kopf|頭")
+NECK = re.compile(r"neck|cervical|首|颈")
+HEAD = re.compile(r"head|skull|kopf|頭|头")
 
 _OUT = re.compile(
     r"thumb|index|middle|ring|pinky|pinkie|little|finger|metacarp|carpal|metatars|nub$|eye|jaw|"

@@ -34,6 +34,8 @@ from questsim.motion.skeletons import find_skeleton, without_rest_frame
 from questsim.motion.sources import TEXT_SUFFIXES
 from questsim.skeleton import JOINTS
 
+USUAL_STATURE_M = 1.7
+"""Of units that all make a person the one that makes a person nearest to this height is taken."""
 _CLIP_NAME = re.compile(r"dataset-\d+_(?P<kind>[a-z-]+)_(?P<style>[a-z-]+)_\d+")
 
 
@@ -198,7 +200,8 @@ def _units(recording: Recording, family: Family, options: ReadOptions) -> tuple[
             recording.path,
             "declare the performer's height with --height",
         )
-    return UNITS[fitting[0]], f"{fitting[0]} (detected)"
+    nearest = min(fitting, key=lambda unit: abs(np.log(height * UNITS[unit] / USUAL_STATURE_M)))
+    return UNITS[nearest], f"{nearest} (detected)"
 
 
 def _up_axis(recording: Recording, family: Family, options: ReadOptions) -> tuple[str, str]:
