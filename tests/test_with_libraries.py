@@ -199,6 +199,7 @@ def test_worker_processes_make_it_by_its_id_with_the_package() -> None:
 # -- libraries that CI does not install: slow, and skipped without them -------------------
 
 
+@pytest.mark.slow
 def test_torchrl_makes_rolls_out_and_checks_it() -> None:
     torchrl = pytest.importorskip("torchrl.envs", reason="TorchRL is not installed")
     env = torchrl.GymEnv(ID, motions=CLIPS)
@@ -211,6 +212,7 @@ def test_torchrl_makes_rolls_out_and_checks_it() -> None:
     assert native.rollout(40, break_when_any_done=False).shape == (2, 40)
 
 
+@pytest.mark.slow
 def test_skrl_steps_it() -> None:
     import torch
 
