@@ -384,6 +384,7 @@ def test_the_mapping_file_of_the_documentation_is_one(tmp_path):
         ("foot_pitch = 'flat'\n", "'foot_pitch' is of the wrong type"),
         ("up = 'w'\n", "up axis 'w'"),
         ("foot_pitch = nan\n", "foot_pitch is nan, not radians"),
+        ("name = " + "[" * 100_000, "cannot be read"),
     ],
 )
 def test_a_wrong_mapping_file_is_refused(text, reason, tmp_path):

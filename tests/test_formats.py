@@ -261,6 +261,17 @@ def test_bad_deepmimic_files_are_refused_in_one_line(tmp_path, text, message):
         read_motion(path)
 
 
+def test_what_is_no_zip_or_has_no_motion_in_it_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setenv("QUESTSIM_CACHE", str(tmp_path / "cache"))
+    (tmp_path / "a.zip").write_bytes(b"PK nothing")
+    with pytest.raises(InputError, match="cannot be unpacked"):
+        motion_files(tmp_path / "a.zip")
+    with zipfile.ZipFile(tmp_path / "b.zip", "w") as archive:
+        archive.writestr("README.txt", "no motion")
+    with pytest.raises(InputError, match="there is no motion in it"):
+        motion_files(tmp_path / "b.zip")
+
+
 def test_a_folder_of_texts_gives_only_the_motions(tmp_path):
     write_deepmimic(tmp_path / "b.txt", [still_frame()] * 2)
     (tmp_path / "README.txt").write_text("Frames of ours")

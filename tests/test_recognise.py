@@ -158,9 +158,10 @@ def test_joints_of_a_mapping_that_the_file_lacks_are_named(tmp_path):
         if "{}" in theirs:
             right = theirs.format("Right").replace("Hand", "Paw")
             lines.append(f'{ours.replace("left", "right")} = "mixamorig:{right}"')
-    rig.write_text("\n".join(lines))
-    with pytest.raises(InputError, match="there is no joint 'mixamorig:RightPaw'"):
-        read_motion(tmp_path / "a.bvh", ReadOptions(mapping=str(rig)))
+    for axes in ("", 'zero_axes = "z x y"\n'):
+        rig.write_text(axes + "\n".join(lines))
+        with pytest.raises(InputError, match="there is no joint 'mixamorig:RightPaw'"):
+            read_motion(tmp_path / "a.bvh", ReadOptions(mapping=str(rig)))
 
 
 def chain(*joints: tuple[str, str, tuple[float, float, float]]) -> list[tuple]:

@@ -272,8 +272,8 @@ def load_mapping(path: str | Path) -> Family:
             table = tomllib.load(file)
     except FileNotFoundError:
         raise InputError("no such mapping file", path) from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"mapping file cannot be read ({error})", path) from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"mapping file cannot be read ({str(error)[:120]})", path) from None
     table = {"name": path.stem, "joints": {}, "up": None, "units": None} | table
     if not table.get("axes"):
         table.setdefault("zero_axes", None)

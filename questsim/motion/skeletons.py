@@ -57,13 +57,14 @@ def find_skeleton(recording: Recording, declared: Family | None = None) -> Skele
     if family and declared is None:
         contradiction = _contradiction(recording, family)
         family = None if contradiction else family
-    if family and family.axes_declared:
-        return Skeleton(recording, family, _lines(family, {}, f"axes as {family.name} files have"))
-    reasons: dict[str, str] = {}
     if family:
         if any(name.endswith(END) for name in family.joints.values()):
             recording = with_ends(recording)
         _check_joints(family, recording)
+    if family and family.axes_declared:
+        return Skeleton(recording, family, _lines(family, {}, f"axes as {family.name} files have"))
+    reasons: dict[str, str] = {}
+    if family:
         joints, name = dict(family.joints), family.name
     else:
         roles = find_roles(recording)
@@ -92,7 +93,9 @@ def _lines(family: Family, reasons: dict[str, str], how: str) -> tuple[str, ...]
 def _check_joints(family: Family, recording: Recording) -> None:
     for theirs in family.joints.values():
         if theirs not in recording.names:
-            raise InputError(f"there is no joint {theirs!r}", recording.path, "check the mapping")
+            raise InputError(
+                f"there is no joint {theirs[:80]!r}", recording.path, "check the mapping"
+            )
 
 
 def _contradiction(recording: Recording, family: Family) -> str:
