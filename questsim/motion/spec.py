@@ -31,6 +31,9 @@ from questsim.motion.sources import content_digest, motion_files
 SYNTHETIC = "synthetic"
 MAX_ERROR_CM = 15.0
 """A recognised skeleton whose clip is further off in any joint, on average, is refused."""
+RANDOM, HELD_OUT = "random", "held-out"
+RANDOM_COUNT = 100
+"""Clips of ``synthetic:random`` and ``synthetic:held-out`` without a number."""
 MANY = 64
 """From this many files on, two processes read them and a progress bar is shown."""
 
@@ -52,7 +55,8 @@ def load_motions(
     Files are read and retargeted once; the result is kept in the cache.
 
     Args:
-        spec: ``synthetic`` (or some of its kinds, ``synthetic:walk+wave``), a dataset
+        spec: ``synthetic`` (or some of its kinds, ``synthetic:walk+bow``, or ``synthetic:all``,
+            ``synthetic:random:500``, ``synthetic:held-out:40``), a dataset
             (``bandai-namco-2``, ``bandai-namco-2:train``, ``bandai-namco-2:test``), a library, a
             BVH or AMASS file, a folder of these, or several, joined by commas or as a sequence.
         height_m: scale all clips to this stature; by default each keeps its performer's.
@@ -278,20 +282,41 @@ def _is_synthetic(part: str) -> bool:
 
 
 def _synthetic(part: str, seed: int) -> list[Clip]:
-    """``synthetic``, or of it only the kinds in ``synthetic:KIND+KIND``."""
-    from questsim.motion.synthesis.synthetic import KINDS, SEATED, seated_clips, synthetic_clips
+    """``synthetic``, or of it only the kinds in ``synthetic:KIND+KIND``, or random clips."""
+    from questsim.motion.synthesis import random_clips as random
+    from questsim.motion.synthesis.synthetic import (
+        ACTIONS,
+        KINDS,
+        SEATED,
+        seated_clips,
+        synthetic_clips,
+    )
 
     _, colon, kinds = part.partition(":")
     if not colon:
         return synthetic_clips(seed)
-    wanted, known = kinds.split("+"), (*KINDS, *SEATED)
+    first, colon, number = kinds.partition(":")
+    if first in (RANDOM, HELD_OUT):
+        make = random.random_clips if first == RANDOM else random.held_out_clips
+        return make(_count(number, part) if colon else RANDOM_COUNT, seed)
+    if kinds == "all":
+        return synthetic_clips(seed) + random.action_clips(tuple(ACTIONS), seed)
+    wanted, known = kinds.split("+"), (*KINDS, *ACTIONS, *SEATED)
     for kind in wanted:
         if kind not in known:
-            raise InputError(f"there is no kind {kind!r}", part, f"choose from {', '.join(known)}")
+            choices = ", ".join((*known, "all", f"{RANDOM}:COUNT", f"{HELD_OUT}:COUNT"))
+            raise InputError(f"there is no kind {kind!r}", part, f"choose from {choices}")
     # Each is made only if it is asked for.
     clips = synthetic_clips(seed, kinds=wanted)
+    clips += random.action_clips([kind for kind in ACTIONS if kind in wanted], seed)
     clips += seated_clips(seed) if set(wanted) & set(SEATED) else []
     return [clip for clip in clips if clip.kind in wanted]
+
+
+def _count(text: str, part: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise InputError(f"{text!r} is no count of clips", part, f"write {SYNTHETIC}:{RANDOM}:500")
+    return int(text)
 
 
 def _with_unique_names(items: list[_T]) -> list[_T]:

@@ -53,6 +53,7 @@ def settle(
     time: np.ndarray,
     jog: bool,
     shown: slice = slice(None),
+    moments: bool | None = None,
 ) -> np.ndarray:
     """The poses ``(T, 40)`` whose centre of mass balances over the pressures.
 
@@ -64,7 +65,9 @@ def settle(
         time: ``(T,)`` seconds.
         jog: whether the height follows from flight and may be lowered only as a whole.
         shown: the frames that will be kept.
+        moments: whether swinging limbs move the pressure; by default unless jogging.
     """
+    moments = not jog if moments is None else moments
     pelvis = world(posture.heading, posture.pelvis)
     offset = np.zeros((len(time), 3))
     offset[:, 2] = 0.07
@@ -79,7 +82,7 @@ def settle(
         qpos = solve(posture, root, feet)
         centers, share = link_centers(qpos)
         offset = np.einsum("l,tlk->tk", share, centers) - root
-        if not jog:
+        if moments:
             wanted = cop - _swing_moment(centers, share, time[1] - time[0])
     return qpos
 

@@ -255,7 +255,9 @@ def loads(steps: Steps, gait: Gait, time: np.ndarray) -> tuple[np.ndarray, np.nd
                 slow = 0.5 if np.isinf(s.lift - s.touch) else shift
                 load = smoothstep((time - s.touch) / shift) * smoothstep((s.lift - time) / slow)
             weight[foot] += np.where(on, load, 0.0)
-            place[foot][on] = (s.ankle + _pressure(s, gait, time)[:, None] * _direction(s.yaw))[on]
+            place[foot][on] = (
+                s.ankle + pressure_ahead(s, gait, time)[:, None] * _direction(s.yaw)
+            )[on]
     total = weight.sum(axis=0)
     share = weight / np.maximum(total, 1e-9)
     cop = np.einsum("ft,ftk->tk", share, place)
@@ -266,7 +268,7 @@ def loads(steps: Steps, gait: Gait, time: np.ndarray) -> tuple[np.ndarray, np.nd
     return share, cop
 
 
-def _pressure(s: Stance, gait: Gait, time: np.ndarray) -> np.ndarray:
+def pressure_ahead(s: Stance, gait: Gait, time: np.ndarray) -> np.ndarray:
     """Centre of pressure ahead of the ankle in metres, along the foot."""
     half = 0.5 * gait.duty * gait.stride_s
     middle = _middle_pressure(s.touch, s.lift)

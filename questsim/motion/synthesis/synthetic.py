@@ -21,8 +21,10 @@ from questsim.body import DEFAULT_HEIGHT_M, build_body
 from questsim.errors import InputError
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.kinematics import clips_from_qpos
+from questsim.motion.synthesis.action_kinds import ACTIONS, LEAST_ACTION_S
 from questsim.motion.synthesis.balance import jogging_height, settle, walking_height
 from questsim.motion.synthesis.feet import feet_paths
+from questsim.motion.synthesis.footwork import perform
 from questsim.motion.synthesis.gait_curves import Gait, gait_at
 from questsim.motion.synthesis.gestures import GESTURES, WALKABLE, Gesture
 from questsim.motion.synthesis.kept import kept_poses
@@ -89,7 +91,7 @@ def synthesise(
     """One clip of synthetic motion at 36 Hz, starting at the origin and facing +x.
 
     Args:
-        kind: one of ``KINDS`` or ``SEATED``.
+        kind: one of ``KINDS``, ``ACTIONS`` or ``SEATED``.
         speed: m/s on the path; by default the kind's usual speed. Waving and raising hands are
             done walking when a speed is given.
         turn_rate: rad/s of ``turn-left`` and ``turn-right``, 0.1 to 1.5; 0.8 by default.
@@ -142,14 +144,15 @@ def _checked(
     start: bool,
     stop: bool,
 ) -> _Wish:
-    if kind not in (*KINDS, *SEATED):
-        known = ", ".join((*KINDS, *SEATED))
+    if kind not in (*KINDS, *ACTIONS, *SEATED):
+        known = ", ".join((*KINDS, *ACTIONS, *SEATED))
         raise InputError(f"unknown kind of synthetic motion {kind!r}", fix=f"choose from {known}")
     _within("height", height_m, MIN_SYNTHETIC_HEIGHT_M, MAX_SYNTHETIC_HEIGHT_M, "m")
     _within("duration", duration, MIN_SECONDS, MAX_SECONDS, "s")
     pace = float(np.sqrt(height_m / DEFAULT_HEIGHT_M))
-    if kind in SEATED:
-        _within("duration", duration, LEAST_SECONDS * pace, MAX_SECONDS, "s")
+    if kind in SEATED or kind in ACTIONS:
+        least_s = LEAST_SECONDS if kind in SEATED else LEAST_ACTION_S
+        _within("duration", duration, least_s * pace, MAX_SECONDS, "s")
         if start or stop:
             raise InputError(f"{kind} begins and ends standing", fix="leave start and stop out")
     if speed is not None and kind not in (*_SPEEDS, *WALKABLE):
@@ -200,6 +203,9 @@ def _poses(wish: _Wish, rng: np.random.Generator) -> np.ndarray:
         time, shown = _frames(wish, 1.0)
         gait = gait_at(MIN_SPEED, _hip_height(), False)
         return seated_poses(time, wish.seconds, _hip_height(), gait, rng)[shown]
+    if kind in ACTIONS:
+        time, shown = _frames(wish, 1.0)
+        return perform(ACTIONS[kind](time, wish.seconds, rng), time, rng, shown)[shown]
     if kind == "stand" or (gesture is not None and wish.speed == 0.0):
         return _stand(wish, rng)
     if kind == "backwards":
