@@ -64,6 +64,10 @@ COMMANDS: dict[str, Command] = {
         "questsim.motion.vary_command", "vary_motions", "VaryArgs",
         "write a library of variations of motions: other speeds, postures, stances, paths",
     ),
+    "motions export": Command(
+        "questsim.exporting.command", "export_motions", "ExportMotionsArgs",
+        "write motions as BVH, GLB, AMASS-style npz or CSV",
+    ),
     "motions list": Command(
         "questsim.motion.motions_command", "list_motions", "ListMotionsArgs",
         "say what a library, dataset, file or folder contains",

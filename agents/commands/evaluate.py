@@ -24,6 +24,7 @@ from envs.starts import Starts
 from envs.terrain import terrain_named
 from questsim.errors import InputError, at_least
 from questsim.evaluation_report import check_writable
+from questsim.exporting.formats import check_format
 from questsim.modes import Mode, Modes
 from questsim.sensors import REAL_DEVICES
 
@@ -49,6 +50,10 @@ def evaluate(args: EvaluateArgs) -> int:
         raise InputError("there is no video to show them", "--video-clips", "add --video")
     if args.video and args.out is None:
         raise InputError("a video needs a folder", "--video", "add --out DIR")
+    if args.save_motion is not None:
+        check_format(args.save_motion, "--save-motion")
+        if args.out is None:
+            raise InputError("motions need a folder", "--save-motion", "add --out DIR")
     found = resolve(args.agent)
     _refuse_unused(args, ("sensors",) if found.torques else _OF_PHYSICS)
     if args.out is not None:

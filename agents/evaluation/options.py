@@ -46,6 +46,8 @@ class EvaluateArgs:
     """Also write a video of avatar beside reference."""
     video_clips: tuple[str, ...] = ()
     """Names of the clips that the video shows; by default four of different kinds."""
+    save_motion: str | None = None
+    """Also write what the avatar did on each clip into OUT/motions: bvh, glb, npz or csv."""
     max_clips: int | None = None
     """Follow only this many clips, of all kinds of motion."""
     threads: int = 2

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from agents.agent import Agent
 from agents.evaluation.options import EvaluateArgs
 from agents.policy.policy_agent import PolicyAgent
@@ -16,6 +18,7 @@ from envs.terrain import height_field
 from questsim.evaluation_report import format_table, write_report
 from questsim.metrics import Rollout, evaluate
 from questsim.motion.clip import Clip
+from questsim.motion.kinematics import clip_from_qpos
 from questsim.motion.motion import Motion
 
 T = TypeVar("T", Clip, Motion, Rollout)
@@ -58,6 +61,8 @@ def report(args: EvaluateArgs, rollouts: list[Rollout], context: dict[str, Any])
         return 0
     print(format_table(write_report(rollouts, args.out, context)))
     print(f"written to {args.out}")
+    if args.save_motion is not None:
+        save_motions(rollouts, args.out / "motions", args.save_motion)
     if args.video:
         config = context["config"]
         ground = config.terrain if isinstance(config, EnvConfig) else None
@@ -65,6 +70,26 @@ def report(args: EvaluateArgs, rollouts: list[Rollout], context: dict[str, Any])
         count = len(args.video_clips) or FILMED_CLIPS
         _film(shown, args.out / "rollouts.mp4", ground, count)
     return 0
+
+
+def save_motions(rollouts: Sequence[Rollout], folder: Path, kind: str) -> None:
+    """Write what the avatar did as files of a format of ``questsim.exporting``."""
+    # Not at the top: other evaluations do not need what writes these files.
+    from questsim.exporting import file_names, write_clip
+
+    folder.mkdir(exist_ok=True)
+    names = file_names([rollout.name for rollout in rollouts])
+    for rollout, name in zip(rollouts, names, strict=True):
+        write_clip(folder / f"{name}.{kind.lower()}", performed(rollout))
+    print(f"{len(rollouts)} motions in {folder}")
+
+
+def performed(rollout: Rollout) -> Clip:
+    """What the avatar did as a clip."""
+    root = (rollout.link_position[:, 0], rollout.link_quat[:, 0])
+    qpos = np.concatenate([*root, rollout.joint_angles], axis=-1)
+    about = {"kind": rollout.kind, "style": rollout.style, "licence": rollout.reference.licence}
+    return clip_from_qpos(rollout.name, qpos, rollout.height_m, **about)
 
 
 def filmed(args: EvaluateArgs, clips: list[T]) -> list[T]:

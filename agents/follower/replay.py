@@ -18,6 +18,7 @@ from questsim.avatar_pose import AvatarPose
 from questsim.devices import DeviceFrame
 from questsim.errors import InputError
 from questsim.evaluation_report import check_writable
+from questsim.exporting.formats import FORMATS
 from questsim.files import whole_file
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.kinematics import clip_from_qpos
@@ -26,6 +27,7 @@ from questsim.stream_metrics import Track, stream_scores, track_of
 
 CALIBRATION_S = 3.0
 """Without a calibration, and unless told otherwise, this much of a recording's beginning is one."""
+MOTION_SUFFIXES = tuple(f".{name}" for name in FORMATS)
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class ReplayArgs(FollowArgs):
     """Let the avatar follow a recording; print its scores."""
 
     out: Path | None = None
-    """Write the scores (.json) or a film of the avatar (.mp4)."""
+    """Write the scores (.json), a film (.mp4) or the avatar's motion (.bvh, .glb, .npz, .csv)."""
 
 
 @dataclass(frozen=True)
@@ -74,14 +76,20 @@ def replay(args: ReplayArgs) -> None:
         InputError: a recording, agent or option that cannot be used.
     """
     if args.out is not None:
-        if args.out.suffix.lower() not in (".json", ".mp4"):
-            raise InputError(f"{args.out.name} is no .json and no .mp4", "--out")
+        if args.out.suffix.lower() not in (".json", ".mp4", *MOTION_SUFFIXES):
+            known = ", ".join((".json", ".mp4", *MOTION_SUFFIXES))
+            raise InputError(f"{args.out.name} does not end in one of {known}", "--out")
         args.out.parent.mkdir(parents=True, exist_ok=True)
         check_writable(args.out.parent)
     track = followed(args)
     _print(stream_scores(track), track)
     if args.out is not None and args.out.suffix.lower() == ".json":
         write_scores(args.out, args, track)
+    elif args.out is not None and args.out.suffix.lower() in MOTION_SUFFIXES:
+        from questsim.exporting import write_clip
+
+        write_clip(args.out, performed_clip(track, args.out.stem))
+        print(f"written to {args.out}")
     elif args.out is not None:
         _film(track, args.file.name, args.out)
 

@@ -1,0 +1,49 @@
+"""Which formats there are, without what writes them."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from questsim.errors import InputError
+
+FORMATS = ("bvh", "glb", "npz", "csv")
+SKELETONS = ("joints", "avatar")
+
+
+def check_format(name: str, where: str) -> str:
+    """The format of a name such as ``bvh`` or ``.BVH``.
+
+    Raises:
+        InputError: it is none of ``FORMATS``.
+    """
+    plain = name.lower().removeprefix(".")
+    if plain not in FORMATS:
+        raise InputError(f"{name!r} is not one of {', '.join(FORMATS)}", where)
+    return plain
+
+
+def needs(package: str, where: str | Path) -> None:
+    """Refuse what an optional package is needed for, if it is not there.
+
+    Raises:
+        InputError: naming the package, and what installs it.
+    """
+    if importlib.util.find_spec(package) is None:
+        fix = "install it, as with pip install 'questsim[live]'"
+        raise InputError(f"needs the Python package {package}", where, fix)
+
+
+def file_names(names: Sequence[str]) -> list[str]:
+    """Names of clips as names of files: no separators, none twice."""
+    out: list[str] = []
+    for name in names:
+        plain = re.sub(r"[^\w.+-]+", "_", name).lstrip(".") or "motion"
+        count, fresh = 1, plain
+        while fresh in out:
+            count += 1
+            fresh = f"{plain}-{count}"
+        out.append(fresh)
+    return out
