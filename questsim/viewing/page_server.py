@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import ipaddress
 import logging
 import os
 import socket
@@ -16,14 +15,18 @@ import sys
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
+from weakref import WeakKeyDictionary
 
 import viser
 from viser import _messages as viser_messages
 
 from questsim.errors import InputError
+from questsim.viewing.page_access import Access, checking, is_loopback
 
 LOOPBACK = "127.0.0.1"
 DEFAULT_PORT = 8080
+_ACCESS: WeakKeyDictionary[viser.ViserServer, Access] = WeakKeyDictionary()
+"""Who may use each server."""
 
 
 def open_server(host: str, port: int, title: str) -> viser.ViserServer:
@@ -39,7 +42,8 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
     """
     check_address(host, port)
     _one_line_for_rubbish()
-    with _silence():
+    access = Access.of(host)
+    with _silence(), checking(access):
         server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
     if port and server.get_port() != port:  # taken since it was checked
         close_server(server)
@@ -47,6 +51,7 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
     # Nothing that a viewer sends may open the page to the world.
     for message in (viser_messages.ShareUrlRequest, viser_messages.ShareUrlDisconnect):
         server._websock_server.unregister_handler(message)
+    _ACCESS[server] = access
     return server
 
 
@@ -85,20 +90,12 @@ def _in_use(port: int) -> InputError:
     return InputError(f"{port} is in use", "--port", "choose another, or 0 for any free one")
 
 
-def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches a host's address."""
-    try:
-        found = {str(address[0]) for *_, address in socket.getaddrinfo(host, None)}
-        return all(ipaddress.ip_address(address).is_loopback for address in found)
-    except (OSError, ValueError):
-        return False
-
-
 def address_of(server: viser.ViserServer) -> str:
-    """What to type into a browser on this machine."""
-    host = server.get_host()
+    """What to type into a browser on this machine; with the token, if one is needed."""
+    host, access = server.get_host(), _ACCESS.get(server)
     shown = LOOPBACK if host in ("0.0.0.0", "::", "") else host
-    return f"http://{f'[{shown}]' if ':' in shown else shown}:{server.get_port()}"
+    address = f"http://{f'[{shown}]' if ':' in shown else shown}:{server.get_port()}"
+    return address if access is None or access.token is None else f"{address}/?token={access.token}"
 
 
 @contextlib.contextmanager
@@ -141,7 +138,7 @@ def warn_if_open(host: str) -> None:
     """Say on stderr that others can reach the page, if they can."""
     if not is_loopback(host):
         print(
-            f"warning: the page listens on {host}: everyone who reaches this machine can watch "
-            "and control it",
+            f"warning: the page listens on {host} without encryption: whoever has its address, "
+            "token included, can watch and control it",
             file=sys.stderr,
         )
