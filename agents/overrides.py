@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, TypeVar
-
-import yaml
+from types import NoneType
+from typing import Any, TypeVar, get_args, get_type_hints
 
 from questsim.errors import InputError
+from questsim.files import parse_yaml
 
 WHERE = "--set"
+MAY_BE_ZERO = ("mix_steps",)
+"""Counts that switch something off where they are 0; others that are 0 by default may be, too."""
+LARGEST = 1_000_000_000
 
 Preset = TypeVar("Preset")
 
@@ -37,8 +41,8 @@ def with_overrides(preset: Preset, assignments: Sequence[str]) -> Preset:
 
 def _value(text: str, path: str) -> Any:
     try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError as error:
+        value = parse_yaml(text)
+    except ValueError as error:
         raise InputError(f"{text!r} is not a YAML value", f"{WHERE} {path}") from error
     if isinstance(value, str):
         # YAML 1.1 reads 6e-5 as text, for want of a point.
@@ -55,8 +59,15 @@ def _changed(holder: Any, names: list[str], value: Any, path: str) -> Any:
             f"there is no {name!r} in the preset", f"{WHERE} {path}", f"it has {', '.join(known)}"
         )
     old = known[name]
+    if not rest and value is None and not _may_be_none(holder, name):
+        raise InputError("needs a value", f"{WHERE} {path}", f"it is now {old!r}")
     new = _changed(old, rest, value, path) if rest else _converted(old, value, path)
     return {**holder, name: new} if isinstance(holder, dict) else replace(holder, **{name: new})
+
+
+def _may_be_none(holder: Any, name: str) -> bool:
+    """Whether a field of a dataclass can be left open."""
+    return is_dataclass(holder) and NoneType in get_args(get_type_hints(type(holder)).get(name))
 
 
 def _children(holder: Any) -> dict[str, Any]:
@@ -76,8 +87,11 @@ def _converted(old: Any, value: Any, path: str) -> Any:
     if old is None:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise InputError(f"{value!r} is no number", f"{WHERE} {path}", "it is now None")
+        _check_number(value, old, path)
         return value
     if isinstance(old, tuple) and isinstance(value, list):
+        for one in value:
+            _check_number(one, old[0] if old else None, path)
         return tuple(value)
     if isinstance(old, float) and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
@@ -85,4 +99,22 @@ def _converted(old: Any, value: Any, path: str) -> Any:
         raise InputError(
             f"{value!r} is no {type(old).__name__}", f"{WHERE} {path}", f"it is now {old!r}"
         )
+    _check_number(value, old, path)
     return value
+
+
+def _check_number(value: Any, old: Any, path: str) -> None:
+    """Refuse numbers that no preset can work with.
+
+    Raises:
+        InputError: not finite, or a count that is negative, zero where there must be one, or
+            beyond all memory.
+    """
+    where, now = f"{WHERE} {path}", f"it is now {old!r}"
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InputError("is no finite number", where, now)
+    if isinstance(value, bool) or not isinstance(value, int):
+        return
+    least = 0 if old == 0 or path.rpartition(".")[2] in MAY_BE_ZERO else 1
+    if not least <= value <= LARGEST:
+        raise InputError(f"is {str(value)[:20]}, not {least} to {LARGEST}", where, now)

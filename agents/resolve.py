@@ -16,9 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-import yaml
-
 from questsim.errors import InputError
+from questsim.files import read_yaml
 
 SHIPPED = Path(__file__).parent / "weights"
 POLICY_CARD, SYSTEM_CARD = "policy.yaml", "system.yaml"
@@ -190,10 +189,9 @@ def _stages(folder: Path) -> int:
 def _card(path: Path) -> dict[str, Any]:
     """A description as it is; empty where it cannot be read, which what loads it refuses."""
     try:
-        card = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError, UnicodeDecodeError):
+        return read_yaml(path, "description")
+    except (OSError, InputError):
         return {}
-    return card if isinstance(card, dict) else {}
 
 
 def shipped_policies() -> tuple[str, ...]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import platform
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import MISSING, Field, asdict, fields, is_dataclass
 from importlib import metadata
 from pathlib import Path
@@ -13,14 +15,17 @@ from typing import Any
 
 import torch
 import yaml
+from filelock import FileLock, Timeout
 
 from agents.precision import native_bfloat16
 from questsim.errors import InputError
-from questsim.files import whole_file
+from questsim.files import read_yaml, recover_folder, whole_file
 from questsim.motion.clip import Clip
 
 FORMAT, FORMAT_VERSION = "questsim-run", 1
 RECORD = "run.yaml"
+OWNER = ".training.owner"
+"""Says who trains in a run folder while it does."""
 PACKAGES = ("mujoco", "numpy", "scipy", "torch", "stable-baselines3", "gymnasium")
 
 
@@ -140,12 +145,10 @@ def read_run(out: Path) -> dict[str, Any]:
     """
     path = out / RECORD
     try:
-        record = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError:
+        record = read_yaml(path, "run record")
+    except FileNotFoundError:
         raise InputError("there is no run to resume", out, "leave out --resume") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError("is no run record", path) from error
-    if not isinstance(record, dict) or record.get("format") != FORMAT:
+    if record.get("format") != FORMAT:
         raise InputError(f"is not of format {FORMAT!r}", path)
     version = record.get("format_version")
     if version != FORMAT_VERSION:
@@ -154,7 +157,53 @@ def read_run(out: Path) -> dict[str, Any]:
             path,
             "start a new run",
         )
+    for field in ("args", "data"):
+        if not isinstance(record.get(field), dict):
+            raise InputError(f"has no {field}", path, "start a new run")
+    if not isinstance(record["data"].get("sha256"), str):
+        raise InputError("has no hash of its motions", path, "start a new run")
     return record
+
+
+@contextmanager
+def only_training(out: Path) -> Iterator[None]:
+    """Keep a run folder to one training, and put right what a killed one left half replaced.
+
+    Raises:
+        InputError: another training writes there, or the folder cannot be written.
+    """
+    made = not out.exists()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(out / ".training.lock")
+        lock.acquire(timeout=0)
+    except Timeout:
+        owner = _owner(out)
+        raise InputError(
+            f"another training writes there{owner}", out, "wait for it, or choose another --out"
+        ) from None
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(f"cannot be written ({reason})", out, "choose another --out") from error
+    try:
+        (out / OWNER).write_text(f"process {os.getpid()} on {platform.node()}\n", encoding="utf-8")
+        for name in ("best", "last"):
+            for old in (*out.glob(f"{name}.old"), *out.glob(f"*/{name}.old")):
+                recover_folder(old.with_name(name))
+        yield
+    finally:
+        (out / OWNER).unlink(missing_ok=True)
+        lock.release()
+        (out / ".training.lock").unlink(missing_ok=True)
+        if made:
+            with suppress(OSError):  # something was written, so it stays
+                out.rmdir()
+
+
+def _owner(out: Path) -> str:
+    with suppress(OSError, UnicodeDecodeError):
+        return f" ({(out / OWNER).read_text(encoding='utf-8').strip()})"
+    return ""
 
 
 def check_same_run(

@@ -20,9 +20,10 @@ from agents.kinematic.entry import Entry
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.switches import switches
-from agents.policy.checkpoint import RESUME_FILE, pack, whole_folder
+from agents.policy.checkpoint import write_resume
 from agents.resolve import IK, SYSTEM_CARD, own_object, resolve_system
 from questsim.errors import InputError
+from questsim.files import read_yaml, whole_folder
 from questsim.joint_sensors import SENSOR_FPS
 from questsim.skeleton import JOINTS
 
@@ -62,7 +63,7 @@ def save_system(
         (fresh / WEIGHTS_FILE).write_bytes(save(weights))
         (fresh / CARD_FILE).write_text(yaml.safe_dump(card, sort_keys=False), encoding="utf-8")
         if resume is not None:
-            torch.save(pack(resume), fresh / RESUME_FILE)
+            write_resume(fresh, resume)
 
 
 def _plain(value: Any) -> Any:
@@ -80,12 +81,10 @@ def read_system_card(folder: Path) -> dict[str, Any]:
     """
     path = folder / CARD_FILE
     try:
-        card = yaml.safe_load(path.read_text(encoding="utf-8"))
+        card = read_yaml(path, "description of a system")
     except FileNotFoundError:
         raise InputError(f"there is no {CARD_FILE}", folder) from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError("is no description of a system", path) from error
-    if not isinstance(card, dict) or card.get("format") != FORMAT:
+    if card.get("format") != FORMAT:
         raise InputError(f"is not of format {FORMAT!r}", path)
     expected = {"format_version": FORMAT_VERSION, "fps": SENSOR_FPS, "joints": list(JOINTS)}
     for field, value in expected.items():

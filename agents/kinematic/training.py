@@ -28,6 +28,7 @@ from agents.run_folder import (
     RECORD,
     check_same_run,
     note_resume,
+    only_training,
     read_run,
     refuse_existing,
     start_run,
@@ -37,7 +38,7 @@ from agents.training.stage import Budget, Stopper
 from questsim.errors import INTERRUPTED, InputError, at_least
 from questsim.motion.motion import Motion
 
-MAY_DIFFER_ON_RESUME = {"minutes", "steps", "resume", "threads", "out", "set"}
+MAY_DIFFER_ON_RESUME = {"motions", "minutes", "steps", "resume", "threads", "out", "set"}
 
 
 def train_system(args: TrainSystemArgs) -> int:
@@ -79,7 +80,7 @@ def train_system(args: TrainSystemArgs) -> int:
             note_resume(args.out, args, config)
         begun.append(True)
 
-    with Display() as display, stopper.listening():
+    with only_training(args.out), Display() as display, stopper.listening():
         for name in config.stages:
             fit = _fit(name, args, config, module, motions, banks, data)
             begin()

@@ -8,9 +8,7 @@ for which observation, joints, links and body it is. Neither can run code when l
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+import io
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -27,6 +25,7 @@ from agents.policy.policy_agent import PolicyAgent, Tracker, new_policy
 from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
 from agents.resolve import POLICY_CARD, resolve_policy
 from questsim.errors import InputError
+from questsim.files import read_yaml, whole_folder
 from questsim.motion.clip import FPS
 from questsim.skeleton import DOFS, LINKS
 
@@ -34,6 +33,8 @@ FORMAT, FORMAT_VERSION = "questsim-policy", 1
 WEIGHTS_FILE, CARD_FILE, RESUME_FILE = "policy.safetensors", POLICY_CARD, "resume.pt"
 CRITIC_FILE = "critic.safetensors"
 CRITIC = "critic."
+LARGEST = 65_536
+"""Inputs or outputs of a layer."""
 
 
 def save_policy(
@@ -61,22 +62,7 @@ def save_policy(
             (fresh / CRITIC_FILE).write_bytes(save(critic))
         (fresh / CARD_FILE).write_text(yaml.safe_dump(card, sort_keys=False), encoding="utf-8")
         if resume is not None:
-            torch.save(pack(resume), fresh / RESUME_FILE)
-
-
-@contextmanager
-def whole_folder(folder: Path) -> Iterator[Path]:
-    """A folder beside ``folder`` that takes its place when the block is done, and not before."""
-    fresh = folder.with_name(folder.name + ".new")
-    shutil.rmtree(fresh, ignore_errors=True)
-    fresh.mkdir(parents=True)
-    yield fresh
-    old = folder.with_name(folder.name + ".old")
-    shutil.rmtree(old, ignore_errors=True)
-    if folder.exists():
-        folder.rename(old)
-    fresh.rename(folder)
-    shutil.rmtree(old, ignore_errors=True)
+            write_resume(fresh, resume)
 
 
 def describe(policy: TorquePolicy, needs: Needs) -> dict[str, Any]:
@@ -105,12 +91,10 @@ def read_card(folder: Path) -> dict[str, Any]:
     """
     path = folder / CARD_FILE
     try:
-        card = yaml.safe_load(path.read_text(encoding="utf-8"))
+        card = read_yaml(path, "policy description")
     except FileNotFoundError:
         raise InputError(f"there is no {CARD_FILE}", folder, "name a policy folder") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError("is not a policy description", path) from error
-    if not isinstance(card, dict) or card.get("format") != FORMAT:
+    if card.get("format") != FORMAT:
         raise InputError(f"is not of format {FORMAT!r}", path)
     expected = {
         "format_version": FORMAT_VERSION,
@@ -147,7 +131,11 @@ def load_policy(folder: Path) -> PolicyAgent:
             k: tuple(v) if isinstance(v, list) else v for k, v in card["network"].items()
         }
         spec = PolicySpec(**network, critic_blocks=())
+        check_sizes("hidden", spec.hidden)
         blocks = {name: (int(a), int(b)) for name, (a, b) in card["observation"].items()}
+        check_sizes("observation", (1, *(b for _, b in blocks.values())))
+        if any(not 0 <= a < b for a, b in blocks.values()):
+            raise ValueError("a block of the observation is empty")
         needs = Needs(**card["needs"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"the description is incomplete ({error})", folder / CARD_FILE) from error
@@ -166,6 +154,17 @@ def load_policy(folder: Path) -> PolicyAgent:
             raise InputError(f"{name} is not finite", folder / WEIGHTS_FILE)
     kind = Tracker if spec.actor_blocks == TRACKER_BLOCKS else PolicyAgent
     return kind(policy, needs, folder.name, card)
+
+
+def check_sizes(name: str, sizes: tuple[Any, ...]) -> None:
+    """Refuse sizes of networks that cannot be, before anything of them is made.
+
+    Raises:
+        ValueError: naming the first.
+    """
+    for size in sizes:
+        if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= LARGEST:
+            raise ValueError(f"{name} has {str(size)[:20]}, not 1 to {LARGEST}")
 
 
 def load_critic(folder: Path, policy: TorquePolicy) -> None:
@@ -205,6 +204,17 @@ def find_teacher(path_or_name: str | Path) -> Path:
     """
     teacher = Path(path_or_name) / "teacher"
     return find_policy(teacher if teacher.is_dir() else path_or_name)
+
+
+def write_resume(folder: Path, state: dict[str, Any]) -> None:
+    """Write what only going on needs; see ``load_resume``.
+
+    Raises:
+        OSError: as where the disk is full; torch itself would raise something else.
+    """
+    memory = io.BytesIO()
+    torch.save(pack(state), memory)
+    (folder / RESUME_FILE).write_bytes(memory.getbuffer())
 
 
 def load_resume(folder: Path) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from agents.run_folder import (
     check_same_run,
     data_record,
     note_resume,
+    only_training,
     read_run,
     refuse_existing,
     start_run,
@@ -46,6 +47,7 @@ Pairs = dict[str, tuple[Clip, Clip]]
 _PAUSE_S = (1.0, 4.0)
 """Between pushes: long enough to recover from one before the next."""
 MAY_DIFFER_ON_RESUME = {
+    "motions",  # the hash of what is in them is compared
     "minutes",
     "steps",
     "resume",
@@ -96,7 +98,7 @@ def train(args: TrainArgs) -> int:
 
     torch.set_num_threads(1)  # the learners' own workers share the cores; see workers.py
     stopper = Stopper()
-    with Display() as display, stopper.listening():
+    with only_training(args.out), Display() as display, stopper.listening():
         for name in names:
             _run_stage(name, args, preset, clips, shown, data, display, stopper, begin)
             if stopper.requested:

@@ -80,7 +80,7 @@ def use_gl() -> GL:
         raise NoGLError(missing_gl())
     if gl.backend:
         os.environ["MUJOCO_GL"] = gl.backend
-        _switch_imported_mujoco(gl.backend)
+        switch_imported_mujoco(gl.backend)
     return gl
 
 
@@ -117,7 +117,7 @@ def _renders(backend: str) -> bool:
     return done.returncode == 0 and b"rendered" in done.stdout
 
 
-def _switch_imported_mujoco(backend: str) -> None:
+def switch_imported_mujoco(backend: str) -> None:
     """Give MuJoCo the backend it would have chosen, had ``MUJOCO_GL`` been set at its import.
 
     Its Renderer looks the context class up in ``gl_context`` at each use, and its C library reads
