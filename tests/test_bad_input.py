@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -84,9 +85,12 @@ DAMAGED = {
     "empty": ("", ["is empty"]),
     "no-bvh": ("a letter\n", ["HIERARCHY"]),
     "truncated": (GOOD[: GOOD.rindex("\n", 0, -400) + 1], ["MOTION block", "of 60 frames"]),
-    "unknown-joints": (GOOD.replace("LeftForeArm", "Blob"), ["skeleton", "LeftForeArm"]),
+    "unknown-joints": (
+        re.sub(r"(ROOT|JOINT) (\w+)", lambda found: f"{found[1]} bone{found.start()}", GOOD),
+        ["skeleton", "motions mapping"],
+    ),
     "nan": (frames_damaged("96.0000", "nan"), ["finite", "line"]),
-    "wrong-units": (str(BvhText(scale=0.1)), ["units"]),
+    "wrong-units": (str(BvhText(scale=0.004)), ["units"]),
 }
 
 
