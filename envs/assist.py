@@ -1,7 +1,7 @@
 """A bounded helping hand: a force and a torque on the pelvis while an avatar loses its user.
 
 QuestSim (section 5.3) asks when physics should be violated. Here: while the avatar's head is more
-than 25 cm from its user's, or will be in a quarter of a second as both move now, which is how
+than 25 cm from its user's, or will be in a tenth of a second as both move now, which is how
 toppling shows. Everything that it reads is known of a live user: the headset alone.
 """
 
@@ -10,24 +10,28 @@ from __future__ import annotations
 import numpy as np
 
 from envs.core import BatchSim
+from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.motion.clip import FPS
 from questsim.sensors import device_poses
+from questsim.skeleton import LINKS
 
 COMES_M, GOES_M = 0.25, 0.12
 """Distance of the heads at which the assist comes in, and below which it goes out again."""
-FORESIGHT_S = 0.25
+FORESIGHT_S = 0.1
 """How far ahead the distance is extrapolated."""
 FADE_S = 0.25
 """From nothing to all of it, and back."""
 ARM_M = 0.3
 """The torque's bound is the force's times this: 300 N go with 90 N m."""
 MAX_ASSIST_N = 2000.0
-_STIFFNESS, _DAMPING = 36.0, 12.0
-"""Of the pull on the pelvis, 1/s^2 and 1/s for each kg: critically damped at 1 Hz."""
-_UPRIGHTING, _SPIN_DAMPING = 8.0, 1.2
+_STIFFNESS, _DAMPING = 60.0, 14.0
+"""Of the pull on the pelvis, 1/s^2 and 1/s for each kg: nearly critically damped at 1.2 Hz."""
+_UPRIGHTING, _SPIN_DAMPING = 15.0, 1.2
 """Of the torque, by the sine of the angle and by rad/s, N m for each kg of the body."""
-_PELVIS = 1
+_TURNING = 4.0
+"""Of the torque about the vertical, by the sine of the angle between the headings."""
+_PELVIS, _HEAD = 1, LINKS.index("head")
 
 
 class Assist:
@@ -62,11 +66,12 @@ class Assist:
         self.force[:], self.torque[:] = 0.0, 0.0
         self._wrench[:, _PELVIS] = 0.0
 
-    def apply(self, user: np.ndarray) -> None:
+    def apply(self, user: np.ndarray, user_quat: np.ndarray) -> None:
         """Set the forces of the coming step; call once before each.
 
         Args:
             user: ``(n, 3)`` where the users' headsets are in the world in metres.
+            user_quat: ``(n, 4)`` their orientations.
         """
         if self.bound_n == 0.0 and not self.share.any():
             return
@@ -90,7 +95,10 @@ class Assist:
         pelvis = self._sim.link_positions[:, 0]
         lever, wanted = _unit(own - pelvis), _unit(user - pelvis)
         spin = self._spin[:, _PELVIS, :3]
-        turn = mass * (_UPRIGHTING * np.cross(lever, wanted) - _SPIN_DAMPING * spin)
+        turn = _UPRIGHTING * np.cross(lever, wanted) - _SPIN_DAMPING * spin
+        aside = rot.heading(user_quat) - rot.heading(self._sim.link_quats[:, _HEAD])
+        turn[:, 2] += _TURNING * np.sin(aside)
+        turn *= mass
         self.force[:] = self.share[:, None] * _bounded(pull, self.bound_n)
         self.torque[:] = self.share[:, None] * _bounded(turn, ARM_M * self.bound_n)
         self._wrench[:, _PELVIS, :3], self._wrench[:, _PELVIS, 3:] = self.force, self.torque

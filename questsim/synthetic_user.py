@@ -2,7 +2,8 @@
 
 A stream begins as a real one should: the user stands still for calibration, arms hanging. Then
 clips follow each other, each from where the one before ended, with a second in between in which
-the devices glide over. Used by tests, benchmarks and the shipped recording.
+the devices glide over; each begins and ends in slow motion. Used by tests, benchmarks and the
+shipped recording.
 """
 
 from __future__ import annotations
@@ -21,10 +22,12 @@ from questsim.sensors import SENSOR_SETS, device_poses
 from questsim.skeleton import LINKS
 
 STILL_S, GLIDE_S = 4.0, 1.2
+EASED_FRAMES = 18
+"""A clip's first and last half second take a second each: nobody is at full speed at once."""
 EXAMPLE_CLIPS = (
     "walk-0.8-start-stop", "wave-1", "walk-1.2-start-stop", "turn-left-0-1", "raise-both-hands-1",
-    "squat-1", "stand-1", "walk-0.8-start-stop", "turn-right-0-1", "boxing-1", "whiteboard-1",
-    "walk-1.2-start-stop", "raise-right-hand-1", "stand-2",
+    "squat-1", "stand-1", "turn-right-0-1", "boxing-1", "whiteboard-1",
+    "walk-1.2-start-stop", "raise-right-hand-1",
 )  # fmt: skip
 """What the user of the shipped recording does, after standing still."""
 SWAY_M = 0.006
@@ -63,8 +66,8 @@ class Span:
     """A clip in a stream.
 
     Attributes:
-        clip: as it is done there: of the user's stature, moved to its place.
-        start_s: when its first frame is.
+        clip: what of it is done at full speed: of the user's stature, moved to its place.
+        start_s: when the first frame of that is.
     """
 
     clip: Clip
@@ -103,8 +106,10 @@ def stream(
     for clip in clips:
         clip = placed(clip.scaled(user.height_m), heading, spot)
         at, turned = device_poses(clip.link_position, clip.link_quat, names, user.height_m)
+        at, turned = _eased(at, turned)
         glide = _glide((position[-1], quat[-1]), (at[0], turned[0]), round(GLIDE_S * FPS))
-        spans.append(Span(clip, (len(position) + len(glide[0])) / FPS))
+        begun = len(position) + len(glide[0]) + 2 * EASED_FRAMES
+        spans.append(Span(_middle(clip), begun / FPS))
         position = np.concatenate([position, glide[0], at])
         quat = np.concatenate([quat, glide[1], turned])
         heading = float(rot.heading(clip.qpos[-1, 3:7]))
@@ -169,6 +174,27 @@ def _calibration(user: SyntheticUser, names: Sequence[str]) -> tuple[np.ndarray,
     # The whole body leans about the ankles: what is lower moves less.
     position[..., :2] += sway[:, None] * (at[:, 2] / user.height_m)[:, None]
     return position, np.tile(turned, (len(time), 1, 1))
+
+
+def _eased(position: np.ndarray, quat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Device poses ``(T, D, ...)`` played from rest to full speed, and back to rest at the end."""
+    last = len(position) - 1
+    ramp = np.arange(2 * EASED_FRAMES) ** 2 / (4.0 * EASED_FRAMES)
+    whole = np.arange(EASED_FRAMES, last - EASED_FRAMES + 1)
+    place = np.concatenate([ramp, whole, (last - ramp)[::-1]])
+    before = np.minimum(place.astype(int), last - 1)
+    share = (place - before)[:, None, None]
+    a, b = quat[before], quat[before + 1]
+    turned = (1.0 - share) * a + share * np.where((a * b).sum(-1, keepdims=True) < 0.0, -b, b)
+    at = (1.0 - share) * position[before] + share * position[before + 1]
+    return at, turned / np.linalg.norm(turned, axis=-1, keepdims=True)
+
+
+def _middle(clip: Clip) -> Clip:
+    """The frames of a clip that are done at full speed."""
+    qpos = clip.qpos[EASED_FRAMES : len(clip) - EASED_FRAMES]
+    about = {"kind": clip.kind, "style": clip.style, "source": clip.source}
+    return replace(clip_from_qpos(clip.name, qpos, clip.height_m, **about), licence=clip.licence)
 
 
 def _glide(

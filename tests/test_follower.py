@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from agents.agent import ZeroAgent
+from agents.evaluation.assisted import AssistUse
+from agents.evaluation.rollout import env_config, roll_out
 from agents.follower import Calibration, Follower, calibrate
 from agents.follower.bridge import Bridge
 from agents.follower.stance import estimated_pose
+from agents.loading import load_agent
 from questsim import rotations as rot
 from questsim.devices import DeviceFrame, DevicePose
 from questsim.errors import InputError
@@ -216,6 +220,33 @@ def test_an_avatar_that_fell_is_set_up_again_within_a_second():
     low = [pose.time_s for pose, z in zip(poses, heads, strict=True) if z < 0.9]
     assert max(np.diff([low[0], *falls]).max(), falls[0] - low[0]) < 3.0
     assert falls[0] - low[0] < 1.0
+
+
+def test_the_assist_carries_an_avatar_without_torques_and_stays_within_its_bound():
+    clips = [CLIPS["synthetic-stand-1"]]
+    config = env_config(ZeroAgent())
+    alone = roll_out(ZeroAgent(), clips, config)[0]
+    use = AssistUse(1500.0)
+    helped = roll_out(ZeroAgent(), clips, config, assist=use)[0]
+    assert alone.fell and len(helped) > 2 * len(alone)
+    figures = use.figures()
+    assert 0.0 < figures["mean_n"] <= figures["peak_n"] <= 1500.0 + 1e-6
+    assert figures["clips_percent"] == 100.0 and figures["time_percent"] > 50.0
+
+
+def test_an_avatar_that_keeps_up_is_not_helped():
+    agent, use = load_agent("questsim"), AssistUse(300.0)
+    clips = [CLIPS["synthetic-stand-1"]]
+    helped = roll_out(agent, clips, env_config(agent), assist=use)[0]
+    alone = roll_out(agent, clips, env_config(agent))[0]
+    assert use.figures()["time_percent"] == 0.0 and use.figures()["mean_n"] is None
+    np.testing.assert_array_equal(helped.link_position, alone.link_position)
+
+
+@pytest.mark.parametrize("bound", [-1.0, 5000.0, np.nan])
+def test_an_assist_out_of_range_is_refused(bound):
+    with pytest.raises(InputError, match="not within 0 and 2000 N"):
+        AssistUse(bound)
 
 
 def test_the_same_stream_gives_the_same_bits(follower):

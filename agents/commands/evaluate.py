@@ -5,11 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 
 from agents.comparison.options import CompareArgs
+from agents.evaluation.assisted import AssistUse
 from agents.evaluation.follow import choose_clips
 from agents.evaluation.options import EvaluateArgs, ScorecardArgs, WorldsArgs
 from agents.evaluation.report import evaluation_context, filmed, report
@@ -68,9 +69,18 @@ def evaluate(args: EvaluateArgs) -> int:
     if args.max_clips is not None:
         clips = choose_clips(clips, args.max_clips)
     filmed(args, clips)
-    rollouts = roll_out(agent, clips, config, args.threads)
+    assist = AssistUse(args.assist) if args.assist else None
+    rollouts = roll_out(agent, clips, config, args.threads, assist=assist)
     context = evaluation_context(args.agent, agent, args.motions, clips, config, args.threads)
-    return report(args, rollouts, context)
+    return report(args, rollouts, context | _assisted(assist))
+
+
+def _assisted(assist: AssistUse | None) -> dict[str, Any]:
+    """What the assist did, printed and for the report; nothing where there was none."""
+    if assist is None:
+        return {}
+    print(assist.line())
+    return {"assist": assist.figures()}
 
 
 def _refuse_unused(args: EvaluateArgs, options: Sequence[str]) -> None:
@@ -110,12 +120,15 @@ def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
     if found.kind == "physics":
         with workers(args.threads) as mapper:
             references = list(mapper(reference, jobs))
-        rollouts = follow_poses(references, motions, args.threads)
+        assist = AssistUse(args.assist) if args.assist else None
+        rollouts = follow_poses(references, motions, args.threads, assist)
         tracker = load_agent(ESTIMATE_TRACKER)
         clips = [rollout.reference for rollout in rollouts]
         config = env_config(tracker)
         context = evaluation_context(args.agent, tracker, args.motions, clips, config, args.threads)
-        return report(args, rollouts, context)
+        return report(args, rollouts, context | _assisted(assist))
+    if args.assist:
+        raise InputError(f"{args.agent} has no physics to help", "--assist", "leave it out")
     began = time.perf_counter()
     with workers(args.threads) as mapper:
         poses = list(mapper(reconstructed, jobs))

@@ -10,6 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from agents.agent import Agent
+from agents.evaluation.assisted import AssistUse
 from envs.config import EnvConfig
 from envs.core import BatchSim
 from questsim.motion.clip import Clip
@@ -80,6 +81,7 @@ def follow(
     sim: BatchSim,
     clips: Sequence[Clip],
     record: Callable[[np.ndarray], None] | None = None,
+    assist: AssistUse | None = None,
 ) -> Followed:
     """Play every clip from its first frame until the agent falls or the clip ends.
 
@@ -89,6 +91,7 @@ def follow(
         clips: the same as there.
         record: called after reset and after each step with ``(C,)`` bool, which avatars were
             still being followed in that step (so their state is to be kept).
+        assist: may help; None for honest physics.
     """
     count = len(clips)
     length = np.array([len(clip) - 1 for clip in clips])
@@ -99,7 +102,11 @@ def follow(
     agent.reset(count)
     if record is not None:
         record(active)
+    if assist is not None:
+        assist.begin(sim)
     while active.any():
+        if assist is not None:
+            assist.apply(active)
         sim.step(agent.act(sim.observation))
         # What is not finite has no place in a sum, nor in a recording.
         good = active & ~sim.unstable

@@ -40,6 +40,8 @@ class EvaluateArgs:
     sensors: str | None = None
     """The devices of a kinematic system, a set by name, e.g. H+2C or 6T; by default the first that
     it is compared with."""
+    assist: float = 0.0
+    """Greatest force in N that may help an avatar that is about to be lost; its use is reported."""
     out: Path | None = None
     """Folder for metrics.json, clips.csv and plots."""
     video: bool = False

@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 
 from agents.agent import Agent
+from agents.evaluation.assisted import AssistUse
 from agents.evaluation.follow import evaluation_sim, follow
 from envs.config import EnvConfig
 from envs.core import BatchSim
@@ -56,6 +57,7 @@ def roll_out(
     config: EnvConfig,
     threads: int = 1,
     shown: Sequence[Clip] | None = None,
+    assist: AssistUse | None = None,
 ) -> list[Rollout]:
     """Let an agent follow clips, in as few batches as the memory allows.
 
@@ -65,6 +67,7 @@ def roll_out(
         config: with ``fixed_start``.
         threads: of the physics.
         shown: what the agent sees in place of the clips, see ``BatchSim``.
+        assist: may help the avatars; None for honest physics.
 
     Returns:
         One rollout a clip, in their order.
@@ -79,7 +82,7 @@ def roll_out(
         part = order[first : first + BATCH_CLIPS]
         batch = [clips[i] for i in part]
         seen = None if shown is None else [shown[i] for i in part]
-        rolled = _roll_out_batch(agent, batch, config, threads, seen)
+        rolled = _roll_out_batch(agent, batch, config, threads, seen, assist)
         rollouts.update(zip(part, rolled, strict=True))
     return [rollouts[i] for i in range(len(clips))]
 
@@ -131,13 +134,18 @@ class Recorder:
 
 
 def _roll_out_batch(
-    agent: Agent, clips: list[Clip], config: EnvConfig, threads: int, shown: list[Clip] | None
+    agent: Agent,
+    clips: list[Clip],
+    config: EnvConfig,
+    threads: int,
+    shown: list[Clip] | None,
+    assist: AssistUse | None,
 ) -> list[Rollout]:
     sim = evaluation_sim(clips, config, threads, shown=shown)
     try:
         agent.bind(sim)
         recorder = Recorder(sim, max(len(clip) for clip in clips))
-        followed = follow(agent, sim, clips, recorder)
+        followed = follow(agent, sim, clips, recorder, assist)
     finally:
         sim.close()
     steps = int(followed.frames.sum())

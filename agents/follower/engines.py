@@ -199,14 +199,19 @@ class TorqueEngine(Engine):
         """See ``Engine``."""
         self._sim.show_devices(position, quat)
         assert self._assist is not None
-        headset, _ = self._sim.shown_devices()
+        position, quat = self._sim.shown_devices()
+        headset = position[0], quat[0]
         return stepped(
-            self._sim, self._agent, self._assist, headset[0], time_s - (self._window - 1) / FPS
+            self._sim, self._agent, self._assist, headset, time_s - (self._window - 1) / FPS
         )
 
 
 def stepped(
-    sim: StreamSim, agent: Agent, assist: Assist, headset: np.ndarray, time_s: float
+    sim: StreamSim,
+    agent: Agent,
+    assist: Assist,
+    headset: tuple[np.ndarray, np.ndarray],
+    time_s: float,
 ) -> State:
     """One step of physics under an agent's torques and the assist.
 
@@ -214,11 +219,11 @@ def stepped(
         sim: its window has been moved on.
         agent: bound to it.
         assist: of it.
-        headset: ``(3,)`` where the user's is at the avatar's present, in the world.
+        headset: ``(3,)``, ``(4,)`` where the user's is at the avatar's present, in the world.
         time_s: of the state after the step.
     """
-    apart = float(np.linalg.norm(headset - headsets(sim)[0]))
-    assist.apply(headset[None])
+    apart = float(np.linalg.norm(headset[0] - headsets(sim)[0]))
+    assist.apply(headset[0][None], headset[1][None])
     sim.step(agent.act(sim.look()))
     return State(
         time_s=time_s,
@@ -404,7 +409,7 @@ class PhysicsEngine(Engine):
         self._users = [*self._users[1:], (position, quat)]
         self._show(qpos)
         assert self._assist is not None
-        headset = self._users[0][0][0]
+        headset = self._users[0][0][0], self._users[0][1][0]
         time_s -= moment - due + self._late + (AHEAD - 1) / FPS
         return stepped(self._sim, self._agent, self._assist, headset, time_s)
 

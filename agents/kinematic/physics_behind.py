@@ -17,6 +17,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from agents.evaluation.assisted import AssistUse
 from agents.evaluation.rollout import env_config, roll_out
 from agents.kinematic.interface import Poses
 from agents.loading import load_agent
@@ -65,7 +66,10 @@ def reference_of(poses: Poses, motion: Motion) -> Clip:
 
 
 def follow_poses(
-    references: Sequence[Clip], motions: Sequence[Motion], threads: int = 1
+    references: Sequence[Clip],
+    motions: Sequence[Motion],
+    threads: int = 1,
+    assist: AssistUse | None = None,
 ) -> list[Rollout]:
     """Let the avatar follow what a system made of motions, and hold it against those.
 
@@ -73,10 +77,11 @@ def follow_poses(
         references: one ``reference_of`` a motion.
         motions: what the users did.
         threads: of the physics.
+        assist: may help the avatar; None for honest physics.
     """
     tracker, truths = load_agent(TRACKER), [to_clip(motion) for motion in motions]
     shown = [begun_as(clip, truth) for clip, truth in zip(references, truths, strict=True)]
-    return roll_out(tracker, truths, env_config(tracker), threads, shown=shown)
+    return roll_out(tracker, truths, env_config(tracker), threads, shown=shown, assist=assist)
 
 
 def begun_as(estimate: Clip, truth: Clip) -> Clip:
