@@ -1,0 +1,1 @@
+"""OSC out and in: VMC performers and marionettes, and VRChat's trackers."""
