@@ -64,6 +64,7 @@ class QuestVecEnv(VecEnv, EzPickle):
         self.render_mode, given = render_mode, seeds_of(seed, 1)[0]
         clips, task = clips_of(motions), config_of(config, options)
         self.sim = BatchSim(clips, task, num_envs, given or 0, num_threads, shown)
+        self._num_threads = num_threads
         self._unseeded = given is None and not task.fixed_start
         self._pictures = Pictures(self.sim)
         VecEnv.__init__(self, self.sim.num_envs, *spaces_of(self.sim))
@@ -89,6 +90,20 @@ class QuestVecEnv(VecEnv, EzPickle):
     def damping(self) -> np.ndarray:
         """``(33,)`` N m s/rad of the 1.75 m body."""
         return self.sim.body.damping
+
+    def change_clips(self, clips: Sequence[Clip], seed: int) -> None:
+        """Go on with other clips, without a restart: ``reset`` begins episodes of them.
+
+        Args:
+            clips: instead of those until now.
+            seed: of all that is drawn from now on.
+
+        Raises:
+            InputError: the clips cannot be played.
+        """
+        sim = BatchSim(clips, self.sim.config, self.num_envs, seed, self._num_threads)
+        self.sim.close()
+        self.sim, self._pictures, self._restored = sim, Pictures(sim), False
 
     def reset(self) -> np.ndarray:
         """Begin an episode in every environment; observations ``(n, size)``.

@@ -183,6 +183,10 @@ class Dagger:
         loss = error.square().sum() / (self.config.minibatch * labels.shape[1])
         return loss.detach(), list(torch.autograd.grad(loss, parameters))
 
+    def begin_anew(self) -> None:
+        """Begin episodes anew before the next rollout; what was seen before stays in memory."""
+        self._obs = None
+
     def state_dict(self) -> dict[str, Any]:
         """What going on needs; the memory of visited states is not kept, it fills up again."""
         return {

@@ -29,6 +29,10 @@ class Learner(Protocol):
         """
         ...
 
+    def begin_anew(self) -> None:
+        """Begin episodes anew before the next iteration: the environment has other motions."""
+        ...
+
     def state_dict(self) -> dict[str, Any]:
         """What going on needs, in plain values and tensors."""
         ...

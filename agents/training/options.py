@@ -48,6 +48,11 @@ class TrainArgs:
     """Statures in metres to train with, by default the motions' own."""
     mirrored: bool = False
     """Learn every clip mirrored as well."""
+    vary: float = 0.0
+    """Share of the clips that are random variations of --motions, 0 to 0.95 (docs/motion.md). With
+    them kinds of motion of which there is little are drawn more often."""
+    redraw: int | None = None
+    """With --vary: environment steps after which there are other variations; 5 million."""
     env: str | None = None
     """Ground to learn on: rough, slope, stairs, course, mixed (flat, rough and sloping), ..., or
     rough:amplitude_m=0.06; flat by default. With --start a policy goes on there."""

@@ -298,6 +298,11 @@ class AdaptivePPO(PPO):
         self.train()
         return {k: float(v) for k, v in self.logger.name_to_value.items()}
 
+    def begin_anew(self) -> None:
+        """Begin episodes anew before the next rollout."""
+        self._last_obs = None
+        self._last_episode_starts = np.ones(self.n_envs, bool)  # type: ignore[assignment]
+
     def state_dict(self) -> dict[str, Any]:
         """What going on needs, in plain values and tensors."""
         critic = self.policy.critic_optimizer

@@ -97,6 +97,7 @@ class Stage:
         record: what to note in the checkpoint beside steps and figures.
         must_improve: whether only a policy better than the first one counts as best.
         before_iteration: called with the learner's steps; for schedules.
+        beside: saved with the learner's state; for those who resume.
     """
 
     name: str
@@ -110,6 +111,7 @@ class Stage:
     record: dict[str, Any]
     must_improve: bool = False
     before_iteration: Callable[[int], None] | None = None
+    beside: dict[str, Any] = field(default_factory=dict)
     best_score: float = -1.0
     history: list[dict[str, float]] = field(default_factory=list)
 
@@ -209,5 +211,6 @@ class Stage:
             "best_score": self.best_score,
             "history": self.history,
             "torch_random": torch.get_rng_state(),
+            **self.beside,
         }
         save_policy(self.folder / "last", self.learner.policy, self.needs, self._card(), state)

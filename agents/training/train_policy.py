@@ -26,6 +26,7 @@ from agents.run_folder import (
     refuse_existing,
     start_run,
 )
+from agents.training.fresh_motions import REDRAW_STEPS, FreshMotions, check_share, redrawing
 from agents.training.learner import Learner
 from agents.training.make_learner import make_learner
 from agents.training.monitor import Display
@@ -68,7 +69,7 @@ def train(args: TrainArgs) -> int:
     """
     args = replace(args, teacher=from_anywhere(args.teacher), start=from_anywhere(args.start))
     _refuse_unused(args)
-    at_least(1, threads=args.threads, envs=args.envs, steps=args.steps)
+    at_least(1, threads=args.threads, envs=args.envs, steps=args.steps, redraw=args.redraw)
     at_least(0, minutes=args.minutes, seed=args.seed)
     preset = with_overrides(PRESETS[args.preset], args.set)
     names = _stage_names(args, preset)
@@ -77,6 +78,7 @@ def train(args: TrainArgs) -> int:
     else:
         refuse_existing(args.out)
     clips = load_clips(args)
+    check_share(args.vary, args.redraw, clips)
     shown = _estimates(args, clips)
     if shown is None:
         data = data_record(args.motions, clips)
@@ -159,6 +161,8 @@ def _estimates(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
     if args.stage not in ("student", "finetune"):
         fix = "add --stage student or finetune"
         raise InputError(f"are not for stage {args.stage}", "--estimates", fix)
+    if args.vary:
+        raise InputError("are not varied", "--estimates", "leave out --vary")
     if args.mirrored:
         raise InputError("are not mirrored", "--estimates", "leave out --mirrored")
     known = {clip.name: clip for clip in clips}
@@ -220,7 +224,9 @@ def _run_stage(
         return None if shown is None else [shown[clip.name][1] for clip in part]
 
     count = preset.num_envs if args.envs is None else args.envs
-    env = QuestVecEnv(learnt, env_config, count, seed, args.threads, seen(learnt))
+    fresh = FreshMotions(learnt, args.vary, args.redraw or REDRAW_STEPS, seed)
+    draw = fresh.last(args.out / name / "last") if args.resume else 0
+    env = QuestVecEnv(fresh.at(draw), env_config, count, seed + draw, args.threads, seen(learnt))
     sim = evaluation_sim(
         validation,
         replace(env_config, fixed_start=True, max_error_m=EnvConfig().max_error_m),
@@ -252,6 +258,9 @@ def _run_stage(
             must_improve=name == "finetune",
             before_iteration=_schedule(config, learner),
         )
+        if args.vary:
+            redraw = redrawing(fresh, env, learner, draw, stage.beside)
+            stage.before_iteration = _both(stage.before_iteration, redraw)
         if args.resume and (stage.folder / "last" / CARD_FILE).exists():
             stage.resume()
         begin()
@@ -269,7 +278,7 @@ def _env_config(args: TrainArgs, preset: Preset, config: StageConfig) -> EnvConf
         body_preset=preset.body_preset,
         reward=config.reward,
         privileged=config.privileged,
-        sampling=config.sampling,
+        sampling="kind" if args.vary and config.sampling == "failure" else config.sampling,
         max_error_m=config.max_error_m,
         terrain=None if args.env is None else terrain_named(args.env, "--env"),
         pushes=None if args.pushes is None else Pushes(args.pushes, pause_s=_PAUSE_S),
@@ -327,6 +336,17 @@ def _budget(name: str, args: TrainArgs, preset: Preset) -> Budget:
     share = 1.0 if args.stage != "all" else config.share
     seconds = None if minutes is None else 60.0 * minutes * share
     return Budget(seconds, config.steps if args.steps is None else args.steps)
+
+
+def _both(first: Callable[[int], None] | None, second: Callable[[int], None]) -> Any:
+    """One after the other, before an iteration."""
+
+    def call(steps: int) -> None:
+        if first is not None:
+            first(steps)
+        second(steps)
+
+    return call
 
 
 def _schedule(config: StageConfig, learner: Learner) -> Any:

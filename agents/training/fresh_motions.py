@@ -1,0 +1,94 @@
+"""Variations beside the motions of a training, drawn anew every so often (``--vary``)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from agents.policy.checkpoint import CARD_FILE, load_resume
+from agents.training.learner import Learner
+from envs import QuestVecEnv
+from questsim.errors import InputError
+from questsim.motion.clip import Clip
+from questsim.motion.variation import long_enough, vary
+
+MOST = 0.95
+"""The greatest share of variations."""
+REDRAW_STEPS = 5_000_000
+"""Environment steps after which variations are drawn anew, if not asked otherwise."""
+DRAW = "draw"
+"""Of a stage's saved state: number of the variations that it learnt last."""
+
+
+@dataclass(frozen=True)
+class FreshMotions:
+    """What is learnt at each moment of a stage: the motions, and variations of them.
+
+    Attributes:
+        clips: the motions.
+        share: of all clips, how many are variations, 0 to ``MOST``.
+        every: environment steps after which the variations are others.
+        seed: same seed, same variations.
+    """
+
+    clips: Sequence[Clip]
+    share: float
+    every: int
+    seed: int
+
+    def number(self, steps: int) -> int:
+        """Number of the draw that is learnt from after so many environment steps."""
+        return steps // self.every if self.share else 0
+
+    def at(self, number: int) -> list[Clip]:
+        """The motions, and the variations of a draw."""
+        if not self.share:
+            return list(self.clips)
+        count = max(round(len(self.clips) * self.share / (1.0 - self.share)), 1)
+        return [*self.clips, *vary(self.clips, count, 1000 * self.seed + number)]
+
+    def last(self, folder: Path) -> int:
+        """Number of the draw that a stage's last checkpoint in ``folder`` learnt from."""
+        if not self.share or not (folder / CARD_FILE).exists():
+            return 0
+        return int(load_resume(folder).get(DRAW, 0))
+
+
+def check_share(share: float, redraw: int | None, clips: Sequence[Clip]) -> None:
+    """Refuse variations that cannot be, before anything is made.
+
+    Raises:
+        InputError: naming the option.
+    """
+    if not 0.0 <= share <= MOST:
+        raise InputError(f"is {share:g}, not 0 to {MOST:g}", "--vary", "give a share of the clips")
+    if redraw is not None and not share:
+        raise InputError("does nothing without --vary", "--redraw", "add --vary 0.5")
+    if share:
+        long_enough(clips)
+
+
+def redrawing(
+    fresh: FreshMotions, env: QuestVecEnv, learner: Learner, number: int, state: dict[str, Any]
+) -> Callable[[int], None]:
+    """What to call before each iteration, with its steps: changes the variations when it is time.
+
+    Args:
+        fresh: the motions.
+        env: what the learner learns in.
+        learner: begins anew there.
+        number: of the draw that ``env`` has now.
+        state: is told the number of the draw, to be saved with the stage.
+    """
+    state[DRAW] = number
+
+    def change(steps: int) -> None:
+        wanted = fresh.number(steps)
+        if wanted != state[DRAW]:
+            env.change_clips(fresh.at(wanted), fresh.seed + wanted)
+            learner.begin_anew()
+            state[DRAW] = wanted
+
+    return change
