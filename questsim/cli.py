@@ -16,6 +16,7 @@ from questsim import __version__
 from questsim.errors import BAD_INPUT, INTERRUPTED, InputError
 from questsim.extensions import load_extensions
 from questsim.modes import Modes
+from questsim.processes import processes
 
 
 class Command(NamedTuple):
@@ -122,7 +123,8 @@ def guarded(function: Callable[[], object]) -> int:
         printed without a traceback; 130 after Ctrl-C. Anything else is a bug and is raised.
     """
     try:
-        result = function()
+        with processes(2):
+            result = function()
         sys.stdout.flush()
     except InputError as error:
         return _refuse(str(error))

@@ -16,11 +16,11 @@ from questsim.errors import InputError
 from questsim.motion.bvh import read_bvh
 from questsim.motion.families import load_mapping
 from questsim.motion.joint_names import understand
+from questsim.motion.many import MAX_ERROR_CM
 from questsim.motion.motion import Motion
 from questsim.motion.reading import ReadOptions, read_motion
 from questsim.motion.recognise import find_roles
 from questsim.motion.retarget import retargeting_error, to_clip
-from questsim.motion.spec import MAX_ERROR_CM
 from questsim.skeleton import JOINTS
 
 

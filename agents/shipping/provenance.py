@@ -14,6 +14,7 @@ from agents.policy.checkpoint import CARD_FILE, find_policy, find_teacher, read_
 from agents.run_folder import RECORD, default_of, plain, read_run
 from agents.training.options import TrainArgs
 from questsim.errors import InputError
+from questsim.motion.naming import split_parts
 
 STAGES = ("teacher", "student", "finetune")
 """In the order in which they build on each other; the paper's ``ppo`` stands alone."""
@@ -81,7 +82,7 @@ def provenance(folder: Path) -> dict[str, Any]:
 
 def portable(motions: str) -> str:
     """A motion argument with files called by name, in ``runs/``, wherever they were."""
-    parts = [part.strip() for part in motions.split(",")]
+    parts = split_parts(motions)
     return ",".join(f"runs/{Path(p).name}" if Path(p).is_absolute() else p for p in parts)
 
 

@@ -182,16 +182,27 @@ def upright_share(position: np.ndarray, up: np.ndarray) -> float:
 
 
 def toes_ahead(position: np.ndarray) -> float:
-    """Median cosine between ankle-to-toe and the front that left hip, right hip and head give."""
+    """Median cosine between ankle-to-toe and the front that left hip, right hip and head give.
+
+    The body's upward direction is that from the ankles to the head, since a runner's trunk may be
+    bent far forward. Each foot counts where it is in the lower half of its heights: a foot that
+    swings may point down and backwards.
+    """
 
     def at(name: str) -> np.ndarray:
         return position[:, JOINTS.index(name)]
 
-    left, up = at("left_hip") - at("right_hip"), at("neck") - at("root")
+    left = at("left_hip") - at("right_hip")
+    up = at("head") - 0.5 * (at("left_ankle") + at("right_ankle"))
     front = np.cross(left, up)
-    toes = at("left_toe") + at("right_toe") - at("left_ankle") - at("right_ankle")
-    norm = np.linalg.norm(front, axis=-1) * np.linalg.norm(toes, axis=-1) + 1e-12
-    return float(np.median(np.sum(front * toes, axis=-1) / norm))
+    cosines = []
+    for side in ("left", "right"):
+        ankle = at(f"{side}_ankle")
+        toes = at(f"{side}_toe") - ankle
+        norm = np.linalg.norm(front, axis=-1) * np.linalg.norm(toes, axis=-1) + 1e-12
+        low = ankle[:, 2] <= np.median(ankle[:, 2])
+        cosines.append((np.sum(front * toes, axis=-1) / norm)[low])
+    return float(np.median(np.concatenate(cosines)))
 
 
 def centre_of_mass(position: np.ndarray) -> np.ndarray:

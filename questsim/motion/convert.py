@@ -95,6 +95,10 @@ def to_motion(recording: Recording, family: Family, metres: float, up: str, **me
     places = {j: positions[:, column] * metres for j, column in index.items()}
     own = {j: orientations[:, column] for j, column in index.items()}
     rest = _rest_rotations(family, bones(places, own), where)
+    for joint, axes in rest.items():
+        if not np.linalg.det(axes) > 0.5:  # NaN is not
+            what = f"the axes of {JOINTS[joint]} cannot be found: bones around it have no length"
+            raise InputError(what, where, "export the whole skeleton")
     rest_quat = dict(zip(rest, rot.matrix_to_quat(np.stack(list(rest.values()))), strict=True))
     world = world_axes(up)
     world_quat = rot.matrix_to_quat(world)

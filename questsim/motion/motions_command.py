@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,11 +15,14 @@ import tyro
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
 from questsim.motion.datasets import DATASETS, fetch
-from questsim.motion.library import load_library, save_library
+from questsim.motion.library import Library, save_library
+from questsim.motion.many import Refused, Retargeted, named, read_many
+from questsim.motion.motion import Motion
+from questsim.motion.naming import file_names, numbered
 from questsim.motion.reading import ReadOptions, explain, read_recording
 from questsim.motion.skeletons import write_mapping
 from questsim.motion.sources import KINDS, motion_files
-from questsim.motion.spec import Retargeted, load_motions, read_many, split_libraries
+from questsim.motion.spec import load_libraries, load_motions, split_libraries
 
 MAX_REPORTS = 20
 
@@ -50,6 +53,8 @@ class ImportArgs:
     """Add a mirrored copy of each motion."""
     accept: bool = False
     """Take files even where they fail the physical checks."""
+    strict: bool = False
+    """Refuse everything where one file cannot be used; by default it is skipped and named."""
     explain: bool = False
     """Print which joint of the file was taken for what, and why."""
 
@@ -87,9 +92,11 @@ class ListMotionsArgs:
 def import_motions(args: ImportArgs) -> None:
     """Writes a library of the files' motions and clips; prints how each was taken.
 
+    Files that cannot be used are named on stderr, with the reason, and counted.
+
     Raises:
-        InputError: any file cannot be used, or the library cannot be written; then there is
-            no library.
+        InputError: no file can be used (with ``strict``: any cannot), or the library cannot be
+            written; then there is no library.
     """
     from questsim.motion.retarget import mirror_clip
 
@@ -101,26 +108,83 @@ def import_motions(args: ImportArgs) -> None:
     )  # fmt: skip
     if not args.paths:
         raise InputError("no files given", fix=f"name {KINDS}, or folders or zips of them")
-    files = [file for path in args.paths for file in motion_files(path)]
-    files = [file for file in files if file.resolve() != out.resolve()]
+    skipped = _Skipped(strict=args.strict or len(args.paths) == 1)
+    files = _files(args.paths, out, skipped)
+    skipped.strict = args.strict or len(files) + skipped.count == 1
     raw, libraries = split_libraries(files)
     if args.explain:
-        for file in raw[:MAX_REPORTS]:
-            print("\n".join(explain(file, options)))
-    done = _read(raw, options)
-    motions, clips = [r.motion for r in done], [r.clip for r in done]
-    for file in libraries:
-        library = load_library(file)
-        motions, clips = motions + library.motions, clips + library.clips
-    _refuse_twins(clips)
+        _explain(raw[:MAX_REPORTS], options)
+    done = _read(raw, options, skipped)
+    library, unread = load_libraries(libraries)
+    for refused in unread:
+        skipped.add(refused.message)
+    if not done and not library.clips:
+        total = len(files) + skipped.unfound
+        raise InputError(f"none of {total} files can be imported", fix="see the reasons above")
+    motions, clips = _joined(raw, done, library)
     if args.mirrored:
         motions += [motion.mirrored() for motion in motions]
         clips += [mirror_clip(clip) for clip in clips]
     save_library(out, motions, clips)
     if done:
-        _print_errors(done)
-        _print_stances(done)
-    print(f"{len(clips)} clips, {sum(c.duration for c in clips):.0f} s, in {out}")
+        results = list(done.values())
+        _print_errors(results)
+        _print_stances(results)
+    print(f"{len(clips)} clips, {sum(c.duration for c in clips):.0f} s, in {out}{skipped}")
+
+
+@dataclass
+class _Skipped:
+    """Counts and names the files that cannot be used; refuses the first one if ``strict``."""
+
+    strict: bool
+    count: int = 0
+    unfound: int = 0
+
+    def add(self, message: str) -> None:
+        if self.strict:
+            raise InputError(message)
+        self.count += 1
+        print("skipped " + " ".join(message.split()), file=sys.stderr)
+
+    def __str__(self) -> str:
+        return f"; {self.count} skipped" if self.count else ""
+
+
+def _files(paths: Sequence[str], out: Path, skipped: _Skipped) -> list[Path]:
+    """The motion files that the paths name, each once, without the library to be written."""
+    found: dict[Path, Path] = {}
+    for path in paths:
+        try:
+            found |= {file.resolve(): file for file in motion_files(path)}
+        except InputError as error:
+            skipped.add(str(error))
+    skipped.unfound = skipped.count
+    found.pop(out.resolve(), None)
+    return list(found.values())
+
+
+def _explain(files: Sequence[Path], options: ReadOptions) -> None:
+    for file in files:
+        try:
+            print("\n".join(explain(file, options)))
+        except InputError as error:  # it is skipped later, for the same reason
+            print(error)
+
+
+def _joined(
+    raw: Sequence[Path], done: dict[int, Retargeted], library: Library
+) -> tuple[list[Motion], list[Clip]]:
+    """Motions and clips of files and libraries; equal names of files get their folders'."""
+    names = file_names(raw)
+    read = [result.named(names[index]) for index, result in done.items()]
+    motions = [r.motion for r in read] + library.motions
+    clips = [r.clip for r in read] + library.clips
+    # Alike for motions and clips: a library's motion is called as its clip is.
+    return (
+        [named(m, n) for m, n in zip(motions, numbered([m.name for m in motions]), strict=True)],
+        [named(c, n) for c, n in zip(clips, numbered([c.name for c in clips]), strict=True)],
+    )
 
 
 def check_library_path(out: Path) -> None:
@@ -135,18 +199,22 @@ def check_library_path(out: Path) -> None:
         raise InputError("no such folder", out.parent, "create it first")
 
 
-def _read(files: Sequence[Path], options: ReadOptions) -> list[Retargeted]:
-    """All files, read and retargeted; says of the first ones how they were taken."""
-    done = []
+def _read(files: Sequence[Path], options: ReadOptions, skipped: _Skipped) -> dict[int, Retargeted]:
+    """The files that can be used, by index; says of the first ones how they were taken."""
+    done: dict[int, Retargeted] = {}
+    names = file_names(files)
     for index, result in enumerate(read_many(files, options, with_error=True)):
-        if index < MAX_REPORTS:
-            print(f"{result.motion.name}: {len(result.motion)} frames, {result.report}")
+        if isinstance(result, Refused):
+            skipped.add(result.message)
+            continue
+        if len(done) < MAX_REPORTS:
+            print(f"{names[index]}: {len(result.motion)} frames, {result.report}")
             print(f"    feet: {result.stance}")
-        elif index == MAX_REPORTS:
-            print(f"... and {len(files) - MAX_REPORTS} more")
+        elif len(done) == MAX_REPORTS:
+            print("... and more")
         for warning in result.stance.warnings() if result.stance else ():
-            print(f"warning: {result.motion.name}: {warning}", file=sys.stderr)
-        done.append(result)
+            print(f"warning: {names[index]}: {warning}", file=sys.stderr)
+        done[index] = result
     return done
 
 
@@ -190,12 +258,6 @@ def _summary(clips: Sequence[Clip]) -> str:
     low, high = min(heights), max(heights)
     tall = f"{low:.2f}" if high - low < 0.005 else f"{low:.2f}-{high:.2f}"
     return f"{len(clips):6d} {sum(clip.duration for clip in clips):8.0f} {tall:>10}"
-
-
-def _refuse_twins(clips: Sequence[Clip]) -> None:
-    twins = [name for name, count in Counter(c.name for c in clips).items() if count > 1]
-    if twins:
-        raise InputError(f"two motions are called {twins[0]}", fix="rename one or leave it out")
 
 
 def _print_errors(done: Sequence[Retargeted]) -> None:

@@ -3,42 +3,36 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
-from multiprocessing import get_context
+from collections.abc import Callable, Sequence
+from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
-import numpy as np
 from filelock import FileLock
 
 from questsim import rotations, skeleton
 from questsim.assets import mjcf_path
 from questsim.errors import InputError
+from questsim.files import whole_file
 from questsim.motion import datasets
 from questsim.motion.clip import Clip
-from questsim.motion.families import add_families, registered_families
+from questsim.motion.families import registered_families
 from questsim.motion.library import VERSION, Library, is_library, load_library, save_library
+from questsim.motion.many import Refused, Retargeted, named, read_many, say_skipped
 from questsim.motion.motion import Motion
-from questsim.motion.reading import ReadOptions, read_motion
-from questsim.motion.skeletons import RECOGNISED
+from questsim.motion.naming import file_names, place, split_parts, unique_names
+from questsim.motion.reading import ReadOptions
 from questsim.motion.sources import content_digest, motion_files
 
 SYNTHETIC = "synthetic"
-MAX_ERROR_CM = 15.0
-"""A recognised skeleton whose clip is further off in any joint, on average, is refused."""
+FILE = "<file>"
+"""Stands for a skipped file's path in the cache."""
 RANDOM, HELD_OUT = "random", "held-out"
 RANDOM_COUNT = 100
 """Clips of ``synthetic:random`` and ``synthetic:held-out`` without a number."""
-MANY = 64
-"""From this many files on, two processes read them and a progress bar is shown."""
-
-if TYPE_CHECKING:
-    from questsim.motion.stance_figures import StanceFigures
 
 _T = TypeVar("_T", Motion, Clip)
 
@@ -49,30 +43,36 @@ def load_motions(
     height_m: float | None = None,
     mirrored: bool = False,
     seed: int = 0,
+    strict: bool = False,
 ) -> list[Clip]:
     """The avatar's clips that a motion argument names.
 
-    Files are read and retargeted once; the result is kept in the cache.
+    Files are read and retargeted once; the result is kept in the cache. Of a folder or zip, files
+    that cannot be used are skipped, and named on stderr. Everything runs in this process, unless
+    the caller allows more (``questsim.processes``).
 
     Args:
         spec: ``synthetic`` (or some of its kinds, ``synthetic:walk+bow``, or ``synthetic:all``,
             ``synthetic:random:500``, ``synthetic:held-out:40``), a dataset
             (``bandai-namco-2``, ``bandai-namco-2:train``, ``bandai-namco-2:test``), a library, a
-            BVH or AMASS file, a folder of these, or several, joined by commas or as a sequence.
+            BVH or AMASS file, a folder of these, or several, joined by commas or as a sequence; a
+            file's or folder's own name may have commas.
         height_m: scale all clips to this stature; by default each keeps its performer's.
         mirrored: add a mirrored copy of each clip after the clip itself.
         seed: of the synthetic motions.
+        strict: refuse a folder with a file that cannot be used.
 
     Raises:
-        InputError: there is no such thing, a dataset has not been fetched, or a file cannot be
-            used.
+        InputError: there is no such thing, a dataset has not been fetched, or a file that is named
+            itself, or all in a folder, cannot be used.
     """
     from questsim.motion.retarget import mirror_clip
 
-    clips: list[Clip] = []
-    for part in _parts(spec):
-        clips += _synthetic(part, seed) if _is_synthetic(part) else _load(part, clips=True).clips
-    clips = _with_unique_names(clips)
+    parts = [
+        (part, _synthetic(part, seed) if _is_synthetic(part) else _load(part, True, strict).clips)
+        for part in _parts(spec)
+    ]
+    clips = _with_unique_names(parts)
     if height_m is not None:
         clips = [clip.scaled(height_m) for clip in clips]
     if mirrored:
@@ -81,7 +81,7 @@ def load_motions(
 
 
 def load_recordings(
-    spec: str | Sequence[str], *, mirrored: bool = False, seed: int = 0
+    spec: str | Sequence[str], *, mirrored: bool = False, seed: int = 0, strict: bool = False
 ) -> list[Motion]:
     """The same as motions on the 22-joint skeleton, as recorded (synthetic ones as made).
 
@@ -89,103 +89,32 @@ def load_recordings(
         spec: as in ``load_motions``.
         mirrored: add a mirrored copy of each motion after the motion itself.
         seed: of the synthetic motions.
+        strict: as in ``load_motions``.
 
     Raises:
         InputError: as ``load_motions``.
     """
     from questsim.motion.retarget_back import to_motion
 
-    motions: list[Motion] = []
-    for part in _parts(spec):
+    def of(part: str) -> list[Motion]:
         if _is_synthetic(part):
-            motions += [to_motion(clip) for clip in _synthetic(part, seed)]
-        else:
-            motions += _load(part, clips=False).motions
-    motions = _with_unique_names(motions)
+            return [to_motion(clip) for clip in _synthetic(part, seed)]
+        return _load(part, False, strict).motions
+
+    motions = _with_unique_names([(part, of(part)) for part in _parts(spec)])
     if mirrored:
         motions = [copy for motion in motions for copy in (motion, motion.mirrored())]
     return motions
 
 
-@dataclass(frozen=True)
-class Retargeted:
-    """What ``read_and_retarget`` makes of a file; errors and feet if asked for."""
-
-    motion: Motion
-    clip: Clip
-    report: str
-    error_cm: dict[str, float]
-    stance: StanceFigures | None = None
-
-
-def read_and_retarget(path: Path, options: ReadOptions, with_error: bool = False) -> Retargeted:
-    """Reads, checks and retargets one file."""
-    from questsim.motion.retarget import retargeting_error, to_clip
-    from questsim.motion.stance_figures import stance_figures
-
-    motion, report = read_motion(path, options)
-    clip = to_clip(motion)
-    error = retargeting_error(motion, clip) if with_error else {}
-    if report.skeleton == RECOGNISED and not options.accept:
-        check_fit(motion, clip, path)
-    stance = stance_figures(motion, clip) if with_error else None
-    return Retargeted(motion, clip, str(report), error, stance)
-
-
-def check_fit(motion: Motion, clip: Clip, path: Path) -> None:
-    """Refuses a recognised skeleton whose clip is far from its motion.
-
-    What the retargeted T-pose is off by is the difference between the performer's proportions and
-    the avatar's; it is taken off.
-
-    Raises:
-        InputError: a joint is further off than ``MAX_ERROR_CM`` on average.
-    """
-    from questsim.motion.retarget import retargeting_error, to_clip
-
-    rotations = np.zeros_like(motion.rotations[:1])
-    rotations[..., 0] = 1.0
-    standing = replace(motion, rotations=rotations, root_position=motion.root_position[:1])
-    expected = retargeting_error(standing, to_clip(standing))
-    error = {j: e - expected[j] for j, e in retargeting_error(motion, clip).items()}
-    joint = max(error, key=lambda name: error[name])
-    if error[joint] > MAX_ERROR_CM:
-        raise InputError(
-            f"retargeted, the {joint} is {error[joint]:.0f} cm off on average: the skeleton is "
-            "not what it was recognised as",
-            path,
-            "see import --explain, and name the joints in a mapping file",
-        )
-
-
-def read_many(
-    paths: Sequence[Path], options: ReadOptions, *, with_error: bool = False
-) -> Iterable[Retargeted]:
-    """Reads and retargets files in order; many of them on two processes."""
-    task = partial(read_and_retarget, options=options, with_error=with_error)
-    if len(paths) < MANY:
-        yield from map(task, paths)
-        return
-    from tqdm import tqdm
-
-    # The parent may hold threads and a GL context: a fresh process inherits neither.
-    workers = min(2, os.cpu_count() or 1)
-    with ProcessPoolExecutor(
-        workers, get_context("spawn"), add_families, (registered_families(),)
-    ) as pool:
-        results = pool.map(task, paths, chunksize=8)
-        yield from tqdm(results, total=len(paths), desc="retargeting", unit=" clips", disable=None)
-
-
 def split_libraries(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
     """Motion files to be read, and libraries to be loaded."""
-    libraries = [file for file in files if file.suffix.lower() == ".npz" and is_library(file)]
-    return [file for file in files if file not in libraries], libraries
+    libraries = {file for file in files if file.suffix.lower() == ".npz" and is_library(file)}
+    return [f for f in files if f not in libraries], [f for f in files if f in libraries]
 
 
 def _parts(spec: str | Sequence[str]) -> list[str]:
-    listed = [spec] if isinstance(spec, str) else list(spec)
-    parts = [part.strip() for entry in listed for part in entry.split(",") if part.strip()]
+    parts = split_parts(spec)
     if not parts:
         raise InputError("no motions named", fix=_choices())
     return parts
@@ -198,25 +127,47 @@ def _choices() -> str:
     )
 
 
-def _load(part: str, clips: bool) -> Library:
+def _load(part: str, clips: bool, strict: bool) -> Library:
     """One part of a spec, but ``synthetic``: its clips, or else its motions."""
     name, _, split = part.partition(":")
     if name in datasets.DATASETS:
         return _load_dataset(name, split or None, clips)
-    if not Path(part).exists():
+    if not os.path.exists(part):
         raise InputError(f"no motions {part!r}", fix=_choices())
-    raw, libraries = split_libraries(motion_files(part))
-    out = Library()
-    for file in libraries:
-        loaded = load_library(file, motions=not clips, clips=clips)
-        out.motions.extend(loaded.motions)
-        out.clips.extend(loaded.clips)
+    files = motion_files(part)
+    raw, libraries = split_libraries(files)
+    out, skipped = load_libraries(libraries, motions=not clips, clips=clips)
     if raw:
-        digests = [f"{file.stem} {content_digest(file)}" for file in raw]
-        loaded = _cached(digests, lambda: raw, ReadOptions(), clips)
+        names = file_names(raw)
+        key = [f"{name} {content_digest(file)}" for name, file in zip(names, raw, strict=True)]
+        loaded, refused = _cached(key, lambda: raw, ReadOptions(), clips, given=names)
         out.motions.extend(loaded.motions)
         out.clips.extend(loaded.clips)
+        skipped += refused
+    messages = tuple(refused.message for refused in skipped)
+    if messages and (strict or len(files) == 1):
+        raise InputError(messages[0])
+    if len(messages) == len(files):
+        raise InputError(f"none of {len(files)} files can be used; the first: {messages[0]}", part)
+    if messages:
+        say_skipped(part, len(files), messages)
     return out
+
+
+def load_libraries(
+    files: Sequence[Path], *, motions: bool = True, clips: bool = True
+) -> tuple[Library, list[Refused]]:
+    """What is in several libraries, and those that cannot be read."""
+    out, refused = Library(), []
+    for file in files:
+        try:
+            loaded = load_library(file, motions=motions, clips=clips)
+        except InputError as error:
+            refused.append(Refused(file, str(error)))
+            continue
+        out.motions.extend(loaded.motions)
+        out.clips.extend(loaded.clips)
+    return out, refused
 
 
 def _load_dataset(name: str, split: str | None, clips: bool) -> Library:
@@ -225,7 +176,10 @@ def _load_dataset(name: str, split: str | None, clips: bool) -> Library:
     key = [name, datasets.manifest_digest(name)]
     # Asked first, so that a cache of clips does not serve a dataset that is not there.
     files = datasets.clip_files(name)
-    return _cached(key, lambda: files, options, clips, chosen)
+    loaded, refused = _cached(key, lambda: files, options, clips, chosen)
+    if refused:  # its files are verified: none may be lost
+        raise InputError(refused[0].message)
+    return loaded
 
 
 def _cached(
@@ -234,18 +188,59 @@ def _cached(
     options: ReadOptions,
     clips: bool,
     names: set[str] | None = None,
-) -> Library:
-    """Reads files through a library in the cache, whose name is a digest of all it depends on."""
+    given: Sequence[str] | None = None,
+) -> tuple[Library, list[Refused]]:
+    """Reads files through a library in the cache, whose name is a digest of all it depends on.
+
+    Args:
+        key: what the library depends on.
+        files: to be read if it is not there.
+        options: for reading.
+        clips: whether clips are asked for, or motions.
+        names: only those of these names.
+        given: the name of each file's motion; by default its own.
+
+    Returns:
+        The library, and the files that cannot be used, which are kept beside it.
+    """
     others = map(repr, registered_families())
     digest = hashlib.sha256("\n".join([*key, repr(options), *others, _code_digest()]).encode())
     path = datasets.cache_dir() / "clips" / f"{digest.hexdigest()[:32]}.npz"
     if not path.is_file():
         with _alone(path):
             if not path.is_file():  # another process may have been at it
-                done = list(read_many(files(), options))
-                save_library(path, [r.motion for r in done], [r.clip for r in done])
+                _make(path, files(), options, given)
+    refused = _refused(path, files)
     # Also the first time through the file, so that the first and later calls agree to the bit.
-    return load_library(path, motions=not clips, clips=clips, names=names)
+    return load_library(path, motions=not clips, clips=clips, names=names), refused
+
+
+def _make(
+    path: Path, files: Sequence[Path], options: ReadOptions, given: Sequence[str] | None
+) -> None:
+    results = list(read_many(files, options))
+    done, refused = [], []
+    for index, result in enumerate(results):
+        if isinstance(result, Retargeted):
+            done.append(result.named(given[index]) if given else result)
+        else:  # the file may be elsewhere the next time
+            refused.append([index, result.message.replace(str(result.path), FILE)])
+    if refused:
+        with whole_file(_beside(path)) as fresh:
+            fresh.write_text(json.dumps(refused), encoding="utf-8")
+    save_library(path, [r.motion for r in done], [r.clip for r in done])
+
+
+def _refused(path: Path, files: Callable[[], Sequence[Path]]) -> list[Refused]:
+    """The files that a library in the cache was made without."""
+    if not _beside(path).is_file():
+        return []
+    entries, chosen = json.loads(_beside(path).read_text(encoding="utf-8")), files()
+    return [Refused(chosen[i], text.replace(FILE, str(chosen[i]))) for i, text in entries]
+
+
+def _beside(path: Path) -> Path:
+    return path.with_suffix(".skipped.json")
 
 
 def _alone(path: Path) -> FileLock:
@@ -267,7 +262,9 @@ def _alone(path: Path) -> FileLock:
 def _code_digest() -> str:
     """Digest of the code and the body that clips depend on: they outdate the cache."""
     here = Path(__file__).parent
-    others = "datasets inverse_dynamics library motions_command spec variation vary_command"
+    others = (
+        "datasets inverse_dynamics library many motions_command naming spec variation vary_command"
+    )
     sources = sorted(path for path in here.glob("*.py") if path.stem not in others.split())
     sources += [Path(str(module.__file__)) for module in (rotations, skeleton)]
     sources += [here.parent / "body.py", mjcf_path("humanoid.xml")]
@@ -319,11 +316,9 @@ def _count(text: str, part: str) -> int:
     return int(text)
 
 
-def _with_unique_names(items: list[_T]) -> list[_T]:
-    """Numbers the names that come twice, as from two folders with equal file names."""
-    seen: dict[str, int] = {}
-    out = []
-    for item in items:
-        count = seen[item.name] = seen.get(item.name, 0) + 1
-        out.append(item if count == 1 else replace(item, name=f"{item.name}-{count}"))
-    return out
+def _with_unique_names(parts: Sequence[tuple[str, Sequence[_T]]]) -> list[_T]:
+    """The items of all parts; names that come twice get a folder's name or a number."""
+    items = [item for _, members in parts for item in members]
+    places = [place(part) for part, members in parts for _ in members]
+    names = unique_names([item.name for item in items], places)
+    return [named(item, name) for item, name in zip(items, names, strict=True)]

@@ -1,0 +1,146 @@
+"""Many motion files at once: what cannot be used is skipped, said and counted."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from questsim.errors import InputError
+from questsim.motion.clip import Clip
+from questsim.motion.families import add_families, registered_families
+from questsim.motion.motion import Motion
+from questsim.motion.reading import ReadOptions, read_motion
+from questsim.motion.skeletons import RECOGNISED
+from questsim.processes import allowed
+
+if TYPE_CHECKING:
+    from questsim.motion.stance_figures import StanceFigures
+
+MAX_ERROR_CM = 15.0
+"""A recognised skeleton whose clip is further off in any joint, on average, is refused."""
+MANY = 64
+"""From this many files on a progress bar is shown, and processes are used if they are allowed."""
+MAX_SHOWN = 20
+"""Skipped files of a motion argument that are named one by one."""
+
+_Named = TypeVar("_Named", Motion, Clip)
+
+
+@dataclass(frozen=True)
+class Retargeted:
+    """What ``read_and_retarget`` makes of a file; errors and feet if asked for."""
+
+    motion: Motion
+    clip: Clip
+    report: str
+    error_cm: dict[str, float]
+    stance: StanceFigures | None = None
+
+    def named(self, name: str) -> Retargeted:
+        """The same under another name."""
+        return replace(self, motion=named(self.motion, name), clip=named(self.clip, name))
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A file that cannot be used.
+
+    Attributes:
+        path: the file.
+        message: what is wrong with it, where, and what to do.
+    """
+
+    path: Path
+    message: str
+
+
+def named(item: _Named, name: str) -> _Named:
+    """A motion or clip under that name."""
+    return item if item.name == name else replace(item, name=name)
+
+
+def read_and_retarget(path: Path, options: ReadOptions, with_error: bool = False) -> Retargeted:
+    """Reads, checks and retargets one file."""
+    from questsim.motion.retarget import retargeting_error, to_clip
+    from questsim.motion.stance_figures import stance_figures
+
+    motion, report = read_motion(path, options)
+    clip = to_clip(motion)
+    error = retargeting_error(motion, clip) if with_error else {}
+    if report.skeleton == RECOGNISED and not options.accept:
+        check_fit(motion, clip, path)
+    stance = stance_figures(motion, clip) if with_error else None
+    return Retargeted(motion, clip, str(report), error, stance)
+
+
+def check_fit(motion: Motion, clip: Clip, path: Path) -> None:
+    """Refuses a recognised skeleton whose clip is far from its motion.
+
+    What the retargeted T-pose is off by is the difference between the performer's proportions and
+    the avatar's; it is taken off.
+
+    Raises:
+        InputError: a joint is further off than ``MAX_ERROR_CM`` on average.
+    """
+    from questsim.motion.retarget import retargeting_error, to_clip
+
+    rotations = np.zeros_like(motion.rotations[:1])
+    rotations[..., 0] = 1.0
+    standing = replace(motion, rotations=rotations, root_position=motion.root_position[:1])
+    expected = retargeting_error(standing, to_clip(standing))
+    error = {j: e - expected[j] for j, e in retargeting_error(motion, clip).items()}
+    joint = max(error, key=lambda name: error[name])
+    if error[joint] > MAX_ERROR_CM:
+        raise InputError(
+            f"retargeted, the {joint} is {error[joint]:.0f} cm off on average: the skeleton is "
+            "not what it was recognised as",
+            path,
+            "see import --explain, and name the joints in a mapping file",
+        )
+
+
+def _read(path: Path, options: ReadOptions, with_error: bool) -> Retargeted | Refused:
+    try:
+        return read_and_retarget(path, options, with_error)
+    except InputError as error:
+        return Refused(path, str(error))
+
+
+def read_many(
+    paths: Sequence[Path], options: ReadOptions, *, with_error: bool = False
+) -> Iterable[Retargeted | Refused]:
+    """Reads and retargets files in order; on several processes if the caller allows them."""
+    task: Callable[[Path], Retargeted | Refused]
+    task = partial(_read, options=options, with_error=with_error)
+    if len(paths) < MANY:
+        yield from map(task, paths)
+        return
+    from tqdm import tqdm
+
+    shown = partial(tqdm, total=len(paths), desc="retargeting", unit=" clips", disable=None)
+    workers = min(allowed(), os.cpu_count() or 1)
+    if workers < 2:
+        yield from shown(map(task, paths))
+        return
+    # The parent may hold threads and a GL context: a fresh process inherits neither.
+    with ProcessPoolExecutor(
+        workers, get_context("spawn"), add_families, (registered_families(),)
+    ) as pool:
+        yield from shown(pool.map(task, paths, chunksize=8))
+
+
+@lru_cache(maxsize=64)
+def say_skipped(part: str, total: int, messages: tuple[str, ...]) -> None:
+    """Print on stderr what of a motion argument was skipped; once for each state of it."""
+    for message in messages[:MAX_SHOWN]:
+        print(f"warning: skipped {message}", file=sys.stderr)
+    print(f"warning: {len(messages)} of {total} files in {part} skipped", file=sys.stderr)
