@@ -140,8 +140,11 @@ def test_a_folder_without_motions_and_other_files_are_refused(tmp_path):
     (tmp_path / "notes.txt").write_text("hello")
     with pytest.raises(InputError, match="there is no motion in it"):
         load_motions(str(tmp_path))
-    with pytest.raises(InputError, match=r"is not one of \.bvh"):
+    with pytest.raises(InputError, match="is not JSON"):
         load_motions(str(tmp_path / "notes.txt"))
+    (tmp_path / "notes.docx").write_text("hello")
+    with pytest.raises(InputError, match=r"is not one of \.bvh"):
+        load_motions(str(tmp_path / "notes.docx"))
 
 
 def test_a_dataset_is_split_by_its_test_list(tmp_path, monkeypatch):
