@@ -101,6 +101,7 @@ def train(args: TrainArgs) -> int:
     torch.set_num_threads(1)  # the learners' own workers share the cores; see workers.py
     stopper = Stopper()
     with only_training(args.out), Display() as display, stopper.listening():
+        display.say(f"preset {args.preset}: {preset.expect}")
         for name in names:
             _run_stage(name, args, preset, clips, shown, data, display, stopper, begin)
             if stopper.requested:
