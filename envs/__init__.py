@@ -1,9 +1,9 @@
-"""Environments: avatars in MuJoCo that are asked to follow a person.
+"""Environments: MuJoCo avatars that follow a user.
 
 Importing this package registers ``QuestSim-v0`` (headset and two controllers),
 ``QuestSimHeadset-v0`` (headset alone) and one id for each terrain (``QuestSimRough-v0``, ...) with
-gymnasium; ``envs.registration.ENVIRONMENTS`` lists them. The names below are imported from their
-modules when they are first used: registering waits for neither MuJoCo nor PyTorch.
+gymnasium; ``envs.registration.ENVIRONMENTS`` lists them. The names below are imported lazily, on
+first use, so registration loads neither MuJoCo nor PyTorch.
 """
 
 from __future__ import annotations

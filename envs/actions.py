@@ -1,4 +1,4 @@
-"""What a face of the environment is given to do, checked before any of it is done."""
+"""Validation of actions before a step."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from questsim.errors import InputError
 
 
 def checked_actions(actions: Any, shape: tuple[int, ...], what: str = "action") -> np.ndarray:
-    """Actions as an array of finite numbers of a shape.
+    """Validate actions and return them as an array of finite numbers.
 
     Args:
-        actions: what was given.
-        shape: that of the action space.
-        what: it is called, for the error.
+        actions: the actions as passed by the caller.
+        shape: shape of the action space.
+        what: name of the argument in error messages.
 
     Raises:
-        InputError: another shape, which is not broadcast, other things than numbers, or a number
-            that is not finite.
+        InputError: the shape differs (actions are not broadcast), a value is not a number, or a
+            number is not finite.
     """
     try:
         array = np.asarray(actions)

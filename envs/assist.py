@@ -1,8 +1,8 @@
-"""A bounded helping hand: a force and a torque on the pelvis while an avatar loses its user.
+"""Assist: a bounded force and torque on the pelvis of an avatar that is about to lose its user.
 
-QuestSim (section 5.3) asks when physics should be violated. Here: while the avatar's head is more
-than 25 cm from its user's, or will be in a tenth of a second as both move now, which is how
-toppling shows. Everything that it reads is known of a live user: the headset alone.
+QuestSim (section 5.3) asks when physics should be violated. The assist acts while the avatar's
+head is more than 25 cm from the user's head, or will be within 0.1 s at the present velocities.
+The prediction detects toppling early. The assist reads the headset alone, so it also works live.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from questsim.sensors import device_poses
 from questsim.skeleton import LINKS
 
 COMES_M, GOES_M = 0.25, 0.12
-"""Distance of the heads at which the assist comes in, and below which it goes out again."""
+"""Distance between the heads above which the assist fades in, and below which it fades out."""
 FORESIGHT_S = 0.1
 """How far ahead the distance is extrapolated."""
 FADE_S = 0.25
-"""From nothing to all of it, and back."""
+"""Duration of a full fade in or out."""
 ARM_M = 0.3
-"""The torque's bound is the force's times this: 300 N go with 90 N m."""
+"""Bound of the torque over bound of the force: 90 N m for 300 N."""
 MAX_ASSIST_N = 2000.0
 _STIFFNESS, _DAMPING = 60.0, 14.0
-"""Of the pull on the pelvis, 1/s^2 and 1/s for each kg: nearly critically damped at 1.2 Hz."""
+"""Gains of the force on the pelvis, 1/s^2 and 1/s per kg: nearly critical damping at 1.2 Hz."""
 _UPRIGHTING, _SPIN_DAMPING = 15.0, 1.2
-"""Of the torque, by the sine of the angle and by rad/s, N m for each kg of the body."""
+"""Gains of the torque on the sine of the tilt and on rad/s, N m per kg of the body."""
 _TURNING = 4.0
-"""Of the torque about the vertical, by the sine of the angle between the headings."""
+"""Gain of the torque about the vertical on the sine of the angle between the headings."""
 _PELVIS, _HEAD = 1, LINKS.index("head")
 
 
@@ -39,12 +39,12 @@ class Assist:
 
     Args:
         sim: of the avatars.
-        bound_n: the force's greatest size in newtons; 0 turns it off.
+        bound_n: largest magnitude of the force in newtons; 0 turns the assist off.
 
     Attributes:
         force: ``(n, 3)`` N on the pelvis in the present step.
-        torque: ``(n, 3)`` N m, likewise; its bound is ``ARM_M`` times the force's.
-        share: ``(n,)`` 0 to 1, how far it has come in.
+        torque: ``(n, 3)`` N m in the present step; its bound is ``ARM_M`` times the force's.
+        share: ``(n,)`` fade of the assist, 0 (off) to 1 (full).
 
     Raises:
         InputError: the bound is not within 0 and 2000 N.
@@ -61,7 +61,7 @@ class Assist:
         self._before: np.ndarray | None = None
 
     def reset(self) -> None:
-        """Episodes begin: nothing is pulled."""
+        """Turn the assist off in episodes that begin."""
         self.share[:], self._comes[:], self._before = 0.0, False, None
         self.force[:], self.torque[:] = 0.0, 0.0
         self._wrench[:, _PELVIS] = 0.0
@@ -70,8 +70,8 @@ class Assist:
         """Set the forces of the coming step; call once before each.
 
         Args:
-            user: ``(n, 3)`` where the users' headsets are in the world in metres.
-            user_quat: ``(n, 4)`` their orientations.
+            user: ``(n, 3)`` positions of the users' headsets in the world in metres.
+            user_quat: ``(n, 4)`` orientations of the headsets.
         """
         if self.bound_n == 0.0 and not self.share.any():
             return
@@ -105,7 +105,7 @@ class Assist:
 
 
 def checked_bound(bound_n: float) -> float:
-    """A force's bound in newtons.
+    """Validate the bound of the force in newtons.
 
     Raises:
         InputError: it is not within 0 and 2000 N.
@@ -118,7 +118,7 @@ def checked_bound(bound_n: float) -> float:
 
 
 def headsets(sim: BatchSim) -> np.ndarray:
-    """Where avatars carry their headsets ``(n, 3)``."""
+    """Positions of the avatars' headsets ``(n, 3)``."""
     out = np.empty((sim.num_envs, 3))
     for height in np.unique(sim.heights):
         these = sim.heights == height
@@ -134,7 +134,7 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 
 
 def _bounded(vector: np.ndarray, most: float) -> np.ndarray:
-    """Vectors ``(n, 3)`` no longer than ``most``, in their directions; zero if not finite."""
+    """Vectors ``(n, 3)`` shortened to at most ``most``; zero where not finite."""
     vector = np.where(np.isfinite(vector), vector, 0.0)
     length = np.linalg.norm(vector, axis=-1, keepdims=True)
     return vector * np.minimum(1.0, most / np.maximum(length, 1e-9))

@@ -1,4 +1,4 @@
-"""What an environment can be asked to be, in one dataclass."""
+"""Options of an environment in one dataclass."""
 
 from __future__ import annotations
 
@@ -29,30 +29,30 @@ class EnvConfig:
     """An environment's options; the defaults are QuestSim's H+2C task.
 
     Attributes:
-        sensors: name of a sensor set whose poses the policy sees; one without IMUs.
-        future_frames: o_user holds this many frames from the next one on; with 0 it holds the
-            present frame alone (no latency).
-        heights: lowest and highest stature in metres, spread evenly over the environments; None
-            deals out the statures of the clips. A clip is scaled to its environment's body.
+        sensors: name of the sensor set whose poses the policy observes; it must have no IMU.
+        future_frames: number of future frames in o_user; 0 means the present frame only (no
+            latency).
+        heights: least and greatest stature in metres, spread evenly over the environments; None
+            takes the statures of the clips. A clip is scaled to its environment's body.
         body_preset: ``"default"`` or ``"paper"``, see ``questsim.body``.
         reward: weights and kernels.
-        privileged: append the coming full-body reference to the observation, for teachers.
-        privileged_frames: which frames ahead the privileged part shows.
+        privileged: append the future full-body reference to the observation, for teachers.
+        privileged_frames: frames ahead that the privileged part contains.
         fixed_start: for evaluation: environment i plays clip i from its first frame.
         max_error_m: mean distance of the 16 links from the reference at which an episode ends;
             above 0, at most 1e6.
         self_collision: whether the avatar's links collide with each other.
-        sampling: ``"uniform"`` over frames, or ``"failure"``: clips and moments that end in
-            falls come more often; or ``"kind"``: so do, beside that, kinds of motion of which there
-            is little.
-        noise: imperfections of the devices, drawn once for each clip.
-        terrain: the ground; None for a plane. Clips are played at places drawn for each episode,
-            and with ``fixed_start`` at the same place every time.
+        sampling: how episodes are drawn: ``"uniform"`` over frames; ``"failure"``: clips and
+            moments that led to falls more often; ``"kind"``: as ``"failure"``, and rare kinds of
+            motion more often.
+        noise: sensor noise of the devices, drawn once for each clip.
+        terrain: the ground; None for a plane. Each episode draws a place for its clip; with
+            ``fixed_start`` a clip always has the same place.
         height_scan: append the heights of the ground around the avatar to the observation.
-        pushes: forces on the avatar at random times, None for none.
-        objects: objects in its way.
-        randomisation: what differs between the simulations of a batch, None for nothing.
-        starts: how episodes begin; None for the reference's own state.
+        pushes: forces on the avatar at random times; None for no pushes.
+        objects: objects in the avatar's way.
+        randomisation: random differences between the simulations; None for no differences.
+        starts: initial states of episodes; None for the state of the reference.
     """
 
     sensors: str = "H+2C"
@@ -78,7 +78,7 @@ class EnvConfig:
         _check_forms(self)
         imus = [name for name in sensor_set(self.sensors) if DEVICES[name].kind == "imu"]
         if imus:
-            # Its place is what an IMU does not know: to show it would be to cheat.
+            # An IMU does not measure its position, so the policy must not observe it.
             raise InputError(
                 f"sensor set {self.sensors!r} has {imus[0]}, which reports no pose",
                 "EnvConfig",
@@ -95,7 +95,7 @@ class EnvConfig:
                     f"heights {low:g}-{high:g} m are not within {MIN_HEIGHT_M}-{MAX_HEIGHT_M} m",
                     "EnvConfig",
                 )
-        # No limit at all (inf) would let a fallen avatar lie until the clip ends.
+        # With an infinite limit a fallen avatar would lie on the ground until the clip ends.
         if not 0.0 < self.max_error_m <= MAX_ERROR_M:
             raise InputError(
                 f"max_error_m is {self.max_error_m:g}, not above 0 and up to {MAX_ERROR_M:g} m",
@@ -104,7 +104,7 @@ class EnvConfig:
 
     @property
     def frame_offsets(self) -> tuple[int, ...]:
-        """Frames ahead of the present that o_user shows."""
+        """Frames ahead of the present that o_user contains."""
         return tuple(range(1, self.future_frames + 1)) or (0,)
 
 
@@ -125,7 +125,7 @@ def _form(value: Any, *, good: bool, name: str, takes: str) -> None:
 
 
 def _check_forms(config: EnvConfig) -> None:
-    """Refuse a field of another form, by its name and what it takes."""
+    """Reject a field of the wrong type, with its name and the expected type."""
 
     def check(name: str, takes: str, good: Callable[[Any], bool]) -> None:
         value = getattr(config, name)

@@ -1,6 +1,6 @@
-"""Many avatars, each asked to follow a clip, stepped together on MuJoCo's batch.
+"""Simulation of many avatars, each following a clip, stepped together as a MuJoCo batch.
 
-Every face (gymnasium, vector, stable-baselines3, kinematic) is a thin layer over ``BatchSim``.
+Every interface (gymnasium, vector, stable-baselines3, kinematic) is a thin layer over ``BatchSim``.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from questsim.reward import Reference as MomentReference
 from questsim.skeleton import FOOT_LINKS, NUM_DOFS, NUM_LINKS
 
 _CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL.value)
-# Counters of states that MuJoCo found not finite or too large, after which it reset itself.
+# Warning counters of states that are not finite or too large; MuJoCo then resets the simulation.
 _UNSTABLE = [
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
     int(mujoco.mjtWarning.mjWARN_BADQVEL),
@@ -61,7 +61,7 @@ _LOG = logging.getLogger("questsim.physics")
 
 
 def _log_warning(message: str) -> None:
-    # Unstable simulations are counted and begin anew; MuJoCo would write each to a file besides.
+    # Unstable simulations are counted and reset here. MuJoCo would also write each to a log file.
     _LOG.log(logging.INFO if "unstable" in message else logging.WARNING, "%s", message)
 
 
@@ -74,12 +74,12 @@ _LINKS = slice(1, 1 + NUM_LINKS)
 _SAME_HEIGHT_M = 0.002
 _NOW = np.zeros(1, np.int64)
 
-# What belongs to a running episode, beside the physics.
+# State of a running episode, besides the physics.
 _EPISODE = ("clip", "frame", "_first", "_end", "contact_force", "_previous_force")
 
 
 class _View(NamedTuple):
-    """A reference, what it asks for now, and what is observed of it."""
+    """A reference, its present target, and the observation of it."""
 
     poses: ReferencePoses
     rows: ReferenceRows
@@ -94,24 +94,25 @@ class BatchSim:
     Args:
         clips: the motions; an environment plays one from start to end, then draws another.
         config: options of the task.
-        num_envs: simulations; None means one for each clip.
-        seed: of sampling and of the devices' noise.
+        num_envs: number of simulations; None means one for each clip.
+        seed: seed of sampling and of sensor noise.
         num_threads: threads of physics and kernels; results do not depend on it.
-        shown: what an agent sees of the motions, devices and reference, in place of ``clips``: one
-            for each, as long and as tall, e.g. what a kinematic system makes of it. Episodes begin,
-            and are scored, by ``clips``.
+        shown: clips that agents observe (devices and reference) instead of ``clips``: one for each
+            clip, of the same length and stature, e.g. the estimates of a kinematic system. Initial
+            states and scores come from ``clips``.
 
     Attributes:
         layout: slices of an observation by name.
         observation: ``(n, size)`` float32, of the present state.
-        true_observation: the same where nothing is ``shown``, else what it would be without.
+        true_observation: the observation made from ``clips``; without ``shown`` the same as
+            ``observation``.
         reward: ``(n,)``; reward_terms: ``(n, terms)`` in the order of ``reward_names``.
         error: ``(n,)`` mean distance of the links from the reference in metres.
         fell, ended, unstable: ``(n,)`` bool of the last step: the error passed its limit (or
             the physics failed), the clip ended, the physics was not finite or ran out of memory.
-        clip, frame: ``(n,)`` the clip played and the row of the reference now.
-        placement, pusher, objects, signals: what surrounds the avatars, see ``Surroundings``.
-        unstable_count: resets for physics that was not finite, since the beginning.
+        clip, frame: ``(n,)`` clip being played and present row of the reference.
+        placement, pusher, objects, signals: see ``Surroundings``.
+        unstable_count: total number of resets because the physics was unstable.
     """
 
     def __init__(
@@ -149,14 +150,14 @@ class BatchSim:
         compiled = slice(0, len(COMPILED))
         reward = self.config.reward
         self._weights, self._kernels = reward.weights[compiled], reward.kernels[compiled]
-        # The pose now; for teachers also the next, halfway to which their springs pull.
+        # The present pose. Teachers also need the next: their springs pull halfway towards it.
         shows = self.config.privileged_frames if self.config.privileged else ()
         self._ahead, self._legs = np.unique((0, 1, *shows) if shows else (0,)), footing.legs()
         offsets = np.array(shows, np.int64)
         self._privileged = Privileged(offsets, np.searchsorted(self._ahead, offsets))
         references = (self.reference,) if shown is None else (self.reference, seen)
         self._views = tuple(self._view(reference) for reference in references)
-        # What is asked of the links: on a terrain, other than what is seen, feet that walk as well.
+        # Target of the links. On a terrain it also adapts walking feet; the observation does not.
         level = self.placement.field is None
         self._target = self._views[0].target if level else Target.of(n, 1)
         self.true_observation = self._views[0].observation
@@ -173,7 +174,7 @@ class BatchSim:
         self.unstable_count = 0
 
     def _begin_episodes(self) -> None:
-        """The arrays that every kernel reads: what each simulation plays, and its physics."""
+        """Arrays that every kernel reads: the episodes and the physics state."""
         n = self.num_envs
         self.clip, self.frame = np.zeros(n, np.int64), np.zeros(n, np.int64)
         self._end, self._first = np.zeros(n, np.int64), np.zeros(n, np.int64)
@@ -222,7 +223,7 @@ class BatchSim:
                 if n > 1
                 else (np.array([np.mean(config.heights)]))
             )
-        # Dealt out evenly over the clips, so that few environments still see all statures.
+        # Spread evenly over the clips, so that a few environments still cover all statures.
         return self.reference.heights[np.arange(n) * len(self.reference.heights) // n]
 
     def _build_batch(self, num_threads: int, seed: int) -> None:
@@ -273,23 +274,23 @@ class BatchSim:
 
     @property
     def floor(self) -> np.ndarray:
-        """``(n,)`` height in metres of the ground under each avatar: where S stands."""
+        """``(n,)`` height in metres of the ground under each avatar, the origin of frame S."""
         return self._floor
 
     def placed_clip(self, i: int, clip: Clip) -> Clip:
-        """What simulation ``i`` is asked to do in the world.
+        """Reference of simulation ``i`` in the world.
 
         Args:
             i: the simulation.
-            clip: the one it plays; its reference is this, scaled, moved to its place and
-                put on its feet on the ground there.
+            clip: the clip that it plays. The reference is this clip, scaled, moved to its place,
+                with its feet adapted to the ground there.
         """
         scaled = clip.scaled(float(self.heights[i]))
         return footed_clip(scaled, self.placement.place[i], self.placement.field)
 
     @property
     def foot_clearance(self) -> np.ndarray:
-        """``(n, 2)`` height in metres above the floor of each foot's lowest sole point over it."""
+        """``(n, 2)`` height in metres of each foot's lowest sole point above the floor below it."""
         return self._clearance(self._all)
 
     def _clearance(self, ids: np.ndarray) -> np.ndarray:
@@ -311,7 +312,7 @@ class BatchSim:
 
         Args:
             ids: sorted simulation indices.
-            clip: play this clip from ``frame`` instead of drawing one.
+            clip: clip to play; None draws one.
             frame: first frame within that clip.
         """
         ids = self._all if ids is None else ids
@@ -339,7 +340,7 @@ class BatchSim:
         self._observe(ids)
 
     def _pose(self, ids: np.ndarray, rows: np.ndarray, clips: np.ndarray) -> None:
-        """Put simulations at rows of the reference of clips, or where their starts differ."""
+        """Set the initial states: rows of the reference, changed where ``starts`` asks for it."""
         scale = self._ratio[ids, None]
         qpos = self.reference.qpos[rows].astype(float)
         qvel = self.reference.qvel[rows].astype(float)
@@ -358,7 +359,7 @@ class BatchSim:
         return self._clearance(ids).min(axis=-1)
 
     def _put_on_ground(self, ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
-        """Move poses to their places, with their feet on the ground, and no sole below it."""
+        """Move poses to their places and put their feet on the ground; no sole is below it."""
         place, target = self.placement.place[ids], self._target
         qpos[:, :3], qpos[:, 7:] = target.position[ids, 0, 0], target.angles[ids, 0]
         qpos[:, 3:7] = rot.quat_multiply(turn_quat(place), qpos[:, 3:7])
@@ -385,9 +386,9 @@ class BatchSim:
         self._after_step()
 
     def show(self, pose: np.ndarray) -> None:
-        """Advance one frame kinematically: take poses ``(n, 40)`` as they are, without physics.
+        """Advance one frame kinematically: set the poses ``(n, 40)``, without physics.
 
-        Velocities are the differences from the poses before, contact forces zero.
+        Velocities are finite differences of poses; contact forces are zero.
         """
         before, after = self.qpos[:, :_NUM_POSITIONS], np.asarray(pose, float)
         turn = rot.quat_multiply(rot.quat_conjugate(before[:, 3:7]), after[:, 3:7])
@@ -401,11 +402,11 @@ class BatchSim:
 
     @contextmanager
     def _surviving(self) -> Iterator[None]:
-        """An error that MuJoCo raises in a simulation ends that one's episode, no other's."""
+        """Step the physics. A MuJoCo error in one simulation ends the episode of that one only."""
         try:
             yield
         except mujoco_batch.SimulationError as error:
-            # Those stayed as they were before the call; the others ran.
+            # MuJoCo left the failed simulations unchanged and stepped the others.
             self._stopped[error.ids] = True
             _LOG.info("%s", error)
 
@@ -423,7 +424,7 @@ class BatchSim:
         self.unstable[:] = (self.batch.warning[:, _UNSTABLE, 1] > 0).any(axis=1)
         self.unstable |= self._stopped
         self.unstable |= ~np.isfinite(self.error + self.reward)
-        # Until its reset a simulation goes on being unstable, but that is one episode's end.
+        # A simulation stays unstable until its reset; count it once per episode.
         self.unstable_count += int((self.unstable & ~self._counted).sum())
         self._counted |= self.unstable
         self.reward[self.unstable], self.reward_terms[self.unstable] = 0.0, 0.0
@@ -480,10 +481,10 @@ class BatchSim:
         )  # fmt: skip
 
     def _add_extra_terms(self) -> None:
-        """Terms of the reward that are not compiled; of the whole batch, whatever the threads."""
+        """Reward terms that are not compiled, for the whole batch in one thread."""
         first = len(COMPILED)
         extra = extra_terms(self.config.reward, self.moment())
-        # Where the physics failed, all earn nothing; elsewhere a term must have a value.
+        # Where the physics failed, every term is zero; elsewhere a term must be finite.
         wrong = ~np.isfinite(extra) & np.isfinite(self._scores.reward + self.error)[:, None]
         if wrong.any():
             name = self.reward_names[first + int(np.flatnonzero(wrong.any(axis=0))[0])]
@@ -492,7 +493,7 @@ class BatchSim:
         self.reward += extra @ self.config.reward.weights[first:]
 
     def moment(self) -> Moment:
-        """What the terms of the reward see of the last step."""
+        """Data of the last step that reward terms read."""
         rows, target = self._views[0].rows, self._target
         now, scale, place = self.frame, self._ratio[:, None, None], self.placement.place
         arm = self.link_positions - self._com[:, 1:2]
@@ -534,20 +535,20 @@ class BatchSim:
                 )  # fmt: skip
 
     def seed(self, seeds: Seeds) -> None:
-        """Begin the streams of random clips, frames and all else that episodes draw anew.
+        """Seed the random streams of episodes: clips, frames and everything else drawn per episode.
 
-        What each simulation keeps (randomised bodies, latencies, noise) is drawn once, when the
-        batch is made. Failure rates that were learned are forgotten.
+        Randomised bodies, latencies and noise are drawn once, when the batch is made, and do not
+        change. Learned failure rates are reset.
 
         Args:
-            seeds: one for all, or one for each simulation, where None leaves its streams alone.
+            seeds: one for all, or one for each simulation; None keeps the streams of that one.
         """
         self._streams.seed(seeds)
         self._around.seed(seeds)
         self._sampler.forget()
 
     def get_state(self) -> dict[str, Any]:
-        """What the coming steps depend on: random numbers, sampler, episodes and physics."""
+        """State that determines all later steps: random numbers, sampler, episodes and physics."""
         return {
             "rng": self._streams.get_state(),
             "sampler": self._sampler.get_state(),
@@ -558,10 +559,10 @@ class BatchSim:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Take up what ``get_state`` gave, and observe; the next steps are those it would have had.
+        """Restore the result of ``get_state`` and observe; later steps repeat bit for bit.
 
         Raises:
-            InputError: the state is of another number of simulations.
+            InputError: the state has a different number of simulations.
         """
         if "physics" in state and state["physics"].shape != self.batch.state.shape:
             raise InputError(

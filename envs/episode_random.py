@@ -1,4 +1,4 @@
-"""Random numbers of episodes: each simulation's own while training, in evaluations the clip's."""
+"""Random numbers of episodes: one stream per simulation in training, per clip in evaluation."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _FIRST, _SECOND = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 
 
 class Streams:
-    """A random stream for each simulation: what one draws never changes another's numbers.
+    """An independent random stream for each simulation.
 
-    SplitMix64 (Steele, Lea and Flood, OOPSLA 2014), which needs two numbers of state a stream
-    and draws for any set of streams at once. Streams begin at random places of its cycle.
+    SplitMix64 (Steele, Lea and Flood, OOPSLA 2014): two numbers of state per stream, and any set
+    of streams is drawn in one call. Streams begin at random places of its cycle.
 
     Args:
-        count: streams.
+        count: number of streams.
         seed: same seed, same numbers; stream ``i`` does not depend on ``count``.
-        purpose: another one, other numbers of the same seed.
+        purpose: streams of different purposes are independent for the same seed.
     """
 
     def __init__(self, count: int, seed: int, purpose: int) -> None:
@@ -34,7 +34,7 @@ class Streams:
         self.seed(seed)
 
     def seed(self, seeds: Seeds) -> None:
-        """Begin streams anew; ``seed(s)`` and ``seed([s])`` give stream 0 the same numbers."""
+        """Seed the streams; ``seed(s)`` and ``seed([s])`` give stream 0 the same numbers."""
         if isinstance(seeds, int | np.integer):
             self._start[:] = self._starts(int(seeds), len(self._start))
             self._drawn[:] = 0
@@ -62,21 +62,21 @@ class Streams:
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on where ``get_state`` stood."""
-        if "bit_generator" in state:  # earlier versions had one stream: others begin from it
+        if "bit_generator" in state:  # earlier versions had one stream
             self.seed(int(state["state"]["state"]) % 2**64)
             return
         self._start[:], self._drawn[:] = state["start"], state["drawn"]
 
 
 class EpisodeRandom:
-    """Even random numbers in [0, 1) for what happens in episodes.
+    """Uniform random numbers in [0, 1) for the events of episodes.
 
     Args:
-        names: of the clips.
-        count: simulations.
+        names: names of the clips.
+        count: number of simulations.
         seed: same seed, same numbers.
-        purpose: one for each use, so that no use changes another's numbers.
-        fixed: numbers depend on seed, clip and turn alone, whatever the batch and its past.
+        purpose: one for each use, so that the uses are independent.
+        fixed: numbers depend on seed, clip and turn only, not on the batch or earlier episodes.
     """
 
     def __init__(
@@ -93,13 +93,13 @@ class EpisodeRandom:
     def draw(
         self, ids: np.ndarray, clips: np.ndarray, width: int, turn: np.ndarray | None = None
     ) -> np.ndarray:
-        """Numbers ``(m, width)``.
+        """Draw numbers ``(m, width)``.
 
         Args:
             ids: ``(m,)`` simulations, each once.
             clips: ``(m,)`` the clip that each episode plays.
-            width: how many each.
-            turn: ``(m,)`` how many draws the episode has had before; zero if None.
+            width: numbers per simulation.
+            turn: ``(m,)`` number of earlier draws in the episode; zero if None.
         """
         if not self._fixed:
             return self._streams.draw(ids, width)
@@ -120,6 +120,6 @@ class EpisodeRandom:
 
 
 def within(numbers: np.ndarray, low_high: tuple[float, float]) -> np.ndarray:
-    """Numbers in [0, 1) spread over a range."""
+    """Map numbers in [0, 1) to a range."""
     low, high = low_high
     return low + (high - low) * numbers

@@ -1,4 +1,4 @@
-"""A whole clip as it is to be followed in the world."""
+"""The reference of a whole clip in the world."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from questsim.motion.clip import Clip
 
 
 def footed_clip(clip: Clip, place: np.ndarray, field: HeightField | None) -> Clip:
-    """A clip moved, turned, lifted by the ground, and with its feet on it.
+    """Move and turn a clip, lift it by the ground, and put its feet on the ground.
 
     Args:
-        clip: of the avatar's height.
-        place: ``(4,)`` where it is played.
+        clip: a clip of the avatar's height.
+        place: ``(4,)`` x and y in metres, cosine and sine of the turn.
         field: the ground, None for a plane.
     """
     if field is None:

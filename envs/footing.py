@@ -1,10 +1,10 @@
-"""The reference on ground that is not level: each foot on the ground below it.
+"""The reference on uneven ground: each foot is adapted to the ground below it.
 
-A clip is recorded on a level floor. Where it is played in the world it is lifted by the ground
-under the pelvis. A foot that stands is lifted by and turned with the ground where it stands, one
-that swings goes over from one stance to the next (``footsteps.py``) and above what is in between;
-the leg bends or stretches in the plane it had (the law of cosines). A pelvis from which a standing
-foot could not reach its ground is lowered. On a plane, or level ground, nothing changes.
+A clip is recorded on a level floor. In the world the clip is lifted by the height of the ground
+under the pelvis. A stance foot is lifted and turned with the ground under it. A swing foot moves
+from one stance to the next (``footsteps.py``) and clears the ground in between. The leg bends or
+stretches in its own plane (law of cosines). If a stance foot could not reach the ground, the pelvis
+is lowered. On level ground nothing changes.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from questsim.motion.kinematics import link_offsets, sole_points
 from questsim.skeleton import DOFS, LINKS
 
 CLEARANCE_M = 0.01
-"""A foot swings by this much over what is in its way."""
+"""Clearance of a swing foot above the ground."""
 _LOOKS = 5
-"""In how many moments of a swing it is asked what is in the way."""
+"""Number of moments of a swing at which the clearance is checked."""
 STEEPEST_RAD = 0.4
-"""Feet are not turned further than this: an ankle's reach."""
+"""Greatest turn of a foot: the range of an ankle."""
 _STRAIGHT = 0.99
-"""Legs are stretched to this share of their length, if they were not further before."""
+"""Legs are stretched up to this share of their length, or as far as the clip stretches them."""
 _LIMIT = 0.9999
-"""Beyond it the angle of the knee is not told by the distance from hip to ankle."""
+"""Beyond it the distance from hip to ankle no longer determines the angle of the knee."""
 
 
 class Legs(NamedTuple):
-    """What legs are like on the 1.75 m body.
+    """Geometry of the legs of the 1.75 m body.
 
     Attributes:
         hip: ``(2, 3)`` origin of the thighs in the pelvis.
@@ -56,7 +56,7 @@ def legs() -> Legs:
     """The legs of ``assets/mjcf/humanoid.xml``.
 
     Raises:
-        AssertionError: the MJCF's legs are not what the kernel below solves.
+        AssertionError: the MJCF's legs have a geometry that the kernel below cannot solve.
     """
     offset = link_offsets()
     for side, first in (("left", 0), ("right", 6)):
@@ -101,7 +101,7 @@ def _rotated(q, x, y, z):
 
 @jit
 def _about(axis, angle):
-    """The turn about axis 0, 1 or 2."""
+    """Quaternion of a rotation about axis 0, 1 or 2."""
     s = math.sin(0.5 * angle)
     return (
         math.cos(0.5 * angle),
@@ -113,7 +113,7 @@ def _about(axis, angle):
 
 @jit
 def _between(ax, ay, az, bx, by, bz):
-    """The shortest turn from one direction to another that is not opposite."""
+    """Quaternion of the shortest rotation between two directions that are not opposite."""
     norm = math.sqrt((ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz))
     w = norm + ax * bx + ay * by + az * bz
     x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -135,7 +135,7 @@ def _angles_yxz(q):
 
 @jit
 def _under(place, surface, grid, position, quat, point, scale):
-    """A point of a sole on the level floor, x, y and z, and the height of the ground there."""
+    """A sole point above the level floor (x, y, z), and the height of the ground there."""
     x, y, z = _rotated(quat, point[0] * scale, point[1] * scale, point[2] * scale)
     x, y, z = x + position[0], y + position[1], z + position[2]
     world_x, world_y = placed(place, x, y)
@@ -144,7 +144,7 @@ def _under(place, surface, grid, position, quat, point, scale):
 
 @jit
 def _middle(position, quat, soles, scale):
-    """Where the middle of a sole is on the level floor, x and y."""
+    """Centre of a sole on the level floor, x and y."""
     middle_x, middle_y = position[0] * scale, position[1] * scale
     for k in range(soles.shape[0]):
         x, y, _ = _rotated(quat, soles[k, 0] * scale, soles[k, 1] * scale, soles[k, 2] * scale)
@@ -155,10 +155,10 @@ def _middle(position, quat, soles, scale):
 
 @jit
 def _stance(place, surface, grid, position, quat, soles, scale):
-    """How the ground holds a foot that stands.
+    """Height and slope of the ground under a stance foot.
 
     Args:
-        place: of the clip.
+        place: place of the clip.
         surface, grid: the terrain, see ``fill``.
         position, quat: ``(3,)`` metres and ``(4,)`` of the foot on the level floor, of the 1.75 m
             body.
@@ -166,7 +166,7 @@ def _stance(place, surface, grid, position, quat, soles, scale):
         scale: of body and clip.
 
     Returns:
-        How high the ground is, and its slope along x and along y of the clip.
+        Height of the ground, and its slopes along x and y of the clip.
     """
     q = (quat[0], quat[1], quat[2], quat[3])
     ahead_x, ahead_y, _ = _rotated(q, 1.0, 0.0, 0.0)
@@ -210,19 +210,19 @@ def _stance(place, surface, grid, position, quat, soles, scale):
 
 @jit
 def _smooth(phase):
-    """From 0 to 1, and by how much it rises there."""
+    """Smooth step from 0 to 1, and its derivative."""
     p = min(max(phase, 0.0), 1.0)
     return p * p * (3.0 - 2.0 * p), 6.0 * p * (1.0 - p)
 
 
 @jit
 def _obstacle(foot, first, last, from_m, to_m, place, surface, grid, soles, scale, ref):
-    """By how much a swinging foot would be in the ground, if it went from one height to another.
+    """Greatest penetration of a swing foot that is lifted from one stance height to the next.
 
     Args:
-        foot: its link.
+        foot: link of the foot.
         first, last: rows between which it swings.
-        from_m, to_m: the ground where it stood and where it will.
+        from_m, to_m: height of the ground at the stances before and after.
         place, surface, grid, soles, scale: as of ``_stance``.
         ref: places and orientations of the links in all rows.
     """
@@ -246,7 +246,7 @@ def _obstacle(foot, first, last, from_m, to_m, place, surface, grid, soles, scal
 def _bearing(
     leg, row, place, surface, grid, soles, scale, steps, ref, lift, pelvis_rise, walking
 ):  # fmt: skip
-    """How the ground moves a foot.
+    """Adapt a foot to the ground.
 
     Args:
         leg: 0 or 1.
@@ -259,9 +259,8 @@ def _bearing(
         walking: as of ``fill``.
 
     Returns:
-        Share 0 to 1 by which the foot bears on the ground; the ankle's new x, y and z with the clip
-        not lifted yet; the turn as a quaternion; the foot's vertical velocity, in m/s, beside the
-        clip's own.
+        Share of stance, 0 to 1; the ankle's new x, y and z before the clip is lifted; the turn as a
+        quaternion; the vertical velocity in m/s that is added to the clip's own.
     """
     position, quat = ref
     foot = 3 + 3 * leg
@@ -283,7 +282,7 @@ def _bearing(
         raised, more = 0.0, 0.0
         if steps.swings[row, leg]:
             top = _obstacle(foot, first, last, height, to, place, surface, grid, soles, scale, ref)
-            # Up at once, and down late: what is in the way may be at either end.
+            # Rise early and sink late: an obstacle may be at either end of the swing.
             aside = 2.0 * phase - 1.0
             raised = top * (1.0 - aside**4)
             more = -8.0 * top * aside**3
@@ -315,7 +314,7 @@ def _bearing(
 
 @jit
 def _knee_turn(before, after, thigh, shin):
-    """By how much a knee bends further as the ankle's distance from the hip changes."""
+    """Change of the knee's angle for a change of the distance from hip to ankle."""
     most = _LIMIT * (thigh + shin)
     least = abs(thigh - shin) + 1e-3
     turn = 0.0
@@ -340,13 +339,13 @@ def _within(legs, hinge, angle):
 
 @jit
 def _seen_by(p, q):
-    """The quaternion q in the frame of p."""
+    """The quaternion q relative to p."""
     return _product((p[0], -p[1], -p[2], -p[3]), q)
 
 
 @jit
 def _hip(leg, legs, scale, pelvis, place):
-    """Where a hip is, of a pelvis at ``place``."""
+    """Position of a hip for a pelvis at ``place``."""
     x, y, z = _rotated(pelvis, legs.hip[leg, 0], legs.hip[leg, 1], legs.hip[leg, 2])
     return place[0] + scale * x, place[1] + scale * y, place[2] + scale * z
 
@@ -365,10 +364,10 @@ def _bend(leg, legs, scale, pelvis, hip, ankle, before, turn, foot, angles, posi
         legs: of the 1.75 m body.
         scale: of the body.
         pelvis: quaternion.
-        hip, ankle: where they are to be.
-        before: the ankle's distance from the hip until now.
-        turn: of the foot.
-        foot: its quaternion until now.
+        hip, ankle: their target positions.
+        before: distance from hip to ankle in the clip.
+        turn: rotation of the foot by the ground.
+        foot: quaternion of the foot in the clip.
         angles, position, quat: ``(33,)``, ``(16, 3)``, ``(16, 4)``, of the clip, to change.
     """
     first, link = 6 * leg, 1 + 3 * leg
@@ -407,7 +406,7 @@ def _on_feet(
     row, place, surface, grid, legs, scale, lift, rise, walking, steps, ref, angles, position,
     quat, rises,
 ):  # fmt: skip
-    """Put the feet of a pose, still at its clip's own place, on the ground."""
+    """Put the feet of a pose on the ground. The pose is in the clip's own coordinates."""
     pelvis = (quat[0, 0], quat[0, 1], quat[0, 2], quat[0, 3])
     left = _bearing(
         0, row, place, surface, grid, legs.soles[0], scale, steps, ref, lift, rise, walking
@@ -434,7 +433,7 @@ def _on_feet(
         foot = (quat[link, 0], quat[link, 1], quat[link, 2], quat[link, 3])
         ankle = (ankle_x, ankle_y, ankle_z)
         _bend(leg, legs, scale, pelvis, hip, ankle, before, turn, foot, angles, position, quat)
-        # A foot rises by itself, not with the pelvis.
+        # The velocity of a foot is its own, not the pelvis's.
         rises[link] = own
         rises[link - 1] = 0.5 * (own + rise)
 
@@ -459,8 +458,7 @@ def fill(
         offsets: ``(k,)`` frames ahead.
         reference: poses of all rows.
         legs: of the 1.75 m body.
-        walking: 0 to 1, whether feet of who walks are put on the ground as well, or only those of
-            who stands.
+        walking: 0 adapts only the feet of a standing user, 1 those of a walking user as well.
         target: to fill.
     """
     level = ground.height.size == 1

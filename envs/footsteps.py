@@ -1,8 +1,8 @@
-"""When each foot of a clip stands, and between which stances it swings.
+"""Stance and swing phases of each foot of a clip.
 
-On ground that is not level a foot stands where the ground holds it, and in between it moves from
-one height to the next: so a clip's reference on such ground asks for each frame which stances are
-before and after it. Stances are found once for each clip, by how low and how fast its soles are.
+On uneven ground a stance foot is at the height of the ground, and a swing foot moves from one
+height to the next. So the reference needs, for each frame, the stances before and after it. They
+are found once for each clip, from the height and speed of the soles.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from questsim.motion.kinematics import sole_positions
 from questsim.skeleton import FOOT_LINKS
 
 STANDING_M = 0.04
-"""A foot stands while a point of its sole is lower than this ..."""
+"""In stance a sole point is lower than this ..."""
 STANDING_M_S = 0.5
 """... and slower than this."""
 STAYS_S = 0.8
-"""A stance of twice this is one of somebody who stands, one of less than this a step."""
+"""A stance of twice this duration counts as standing, one shorter than this as a step."""
 SLIDES_M = 0.08
-"""A foot that stands but has moved this far stands on other ground."""
+"""A foot that slides this far during a stance begins a new stance."""
 
 
 class Footsteps(NamedTuple):
-    """Of ``F`` frames of all clips and of two feet, all ``(F, 2)``; rows as in ``Reference``.
+    """Phases of ``F`` frames of all clips and two feet, all ``(F, 2)``; rows as in ``Reference``.
 
     Attributes:
         before, after: rows of the stances before and after; the same while a foot stands still.
-        first, last: rows between which the foot goes over from the one to the other.
-        swings: whether it is in the air meanwhile.
-        stays: 0 to 1, whether a stance lasts, as nobody's does who walks.
+        first, last: rows between which the foot moves from the one to the other.
+        swings: whether it is in the air in between.
+        stays: 0 for the stance of a step, 1 for a stance long enough to count as standing.
     """
 
     before: np.ndarray
@@ -60,7 +60,7 @@ def footsteps_of(clips: Sequence[Clip]) -> Footsteps:
 
 
 def _soles(clip: Clip, foot: int) -> tuple[np.ndarray, np.ndarray]:
-    """Whether a foot stands ``(F,)``, and the middle of its sole ``(F, 2)``."""
+    """Whether a foot is in stance ``(F,)``, and the centre of its sole ``(F, 2)``."""
     feet = list(FOOT_LINKS)
     soles = sole_positions(clip.link_position[:, feet], clip.link_quat[:, feet], DEFAULT_HEIGHT_M)
     points = soles[:, foot]
@@ -74,7 +74,7 @@ def _soles(clip: Clip, foot: int) -> tuple[np.ndarray, np.ndarray]:
 def _foot_steps(stands: np.ndarray, middle: np.ndarray) -> np.ndarray:
     """Fields of ``Footsteps`` ``(6, F)`` of one foot of one clip, rows counted from its first."""
     count = len(stands)
-    if not stands.any():  # in the air all the time: the ground is where it is
+    if not stands.any():  # never in stance: use the ground below the foot
         rows = np.arange(count)
         return np.stack([rows, rows, rows, rows, np.zeros(count), np.zeros(count)])
     out = np.zeros((6, count))
@@ -114,7 +114,7 @@ def _fill(
 
 
 def _places(middle: np.ndarray) -> np.ndarray:
-    """Frames in which a stance's foot is where it stands: one, or several if it slides."""
+    """Frames at which a stance is placed: one, or several if the foot slides."""
     places, begin = [], 0
     for frame in range(1, len(middle) + 1):
         over = frame == len(middle)

@@ -1,4 +1,4 @@
-"""gymnasium's face of one avatar; ``envs.vector`` has that of many."""
+"""The gymnasium environment of one avatar; ``envs.vector`` has that of many."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ class QuestEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
     """One avatar that follows clips: a batch of one, bit-identical to a row of a larger batch.
 
     ``info`` of each step and reset: the reward's terms by name, ``error_m``, ``fell``, ``clip`` (an
-    index into ``sim.reference.names``, since libraries make tensors of infos), ``frame``,
+    index into ``sim.reference.names``, because libraries turn infos into tensors), ``frame``,
     ``floor_m`` (height of the ground under the avatar), ``push_n`` ``(3,)``, ``foot_force_n``
     ``(2, 3)`` of the ground, ``object_pose`` ``(objects, 7)`` and ``object_force_n``
     ``(objects, 3)`` of the avatar on each, all in the world.
 
     ``reset(options={"clip": name_or_index, "frame": 0})`` starts a given clip; otherwise clip and
-    frame are drawn. Copies and pickles are made anew from these arguments: they begin no episode.
+    frame are drawn. Copies and pickles are rebuilt from the arguments and need a ``reset``.
 
     Args:
         motions: a motion argument or clips.
         config: options of the task; keyword options make one, e.g. ``sensors="H"``.
         render_mode: ``"rgb_array"``, ``"human"`` (a window, with pygame) or None.
-        seed: of all that is drawn; with None each environment draws other episodes until a reset
-            gives a seed. (What a simulation keeps, such as a randomised body, is then of seed 0.)
-        shown: what the agent sees of the motions, as of ``BatchSim``.
+        seed: random seed. With None each environment draws different episodes until a reset gives
+            a seed; what is drawn once per simulation, such as a randomised body, then has seed 0.
+        shown: clips that the agent observes, see ``BatchSim``.
         **options: fields of ``EnvConfig``, also in the plain forms of ``envs.options``.
 
     Raises:
@@ -87,7 +87,7 @@ class QuestEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         """Begin an episode; observation ``(size,)`` and info.
 
         Raises:
-            InputError: a seed or options that cannot be used; the episode before goes on then.
+            InputError: a seed or options that cannot be used; the present episode then continues.
         """
         (given,) = seeds_of(seed, 1)
         start = asked_start(self.sim.reference, options)

@@ -1,4 +1,4 @@
-"""``info`` of the faces: what happened in a step, beside observation and reward."""
+"""``info`` of the environments: data of a step besides observation and reward."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from envs.core import BatchSim
 
 
 def info_arrays(sim: BatchSim, fresh: np.ndarray | None = None) -> dict[str, np.ndarray]:
-    """What ``QuestEnv`` documents, of all simulations, as arrays ``(n, ...)`` of their own.
+    """The info that ``QuestEnv`` documents, for all simulations, as new arrays ``(n, ...)``.
 
     Args:
         sim: after a step or a reset.
-        fresh: ``(n,)`` bool, those that have just begun: the reward's terms, error and fall in
-            ``sim`` are still of the episode before.
+        fresh: ``(n,)`` bool, simulations that have just begun an episode: their reward terms,
+            error and fall in ``sim`` still belong to the previous episode.
     """
     clip = sim.clip
     infos: dict[str, np.ndarray] = {
@@ -38,7 +38,7 @@ def info_arrays(sim: BatchSim, fresh: np.ndarray | None = None) -> dict[str, np.
 
 
 def info_of(sim: BatchSim, fresh: bool) -> dict[str, Any]:
-    """The same of a batch of one: numbers and arrays without the batch's axis."""
+    """The info of a batch of one: numbers and arrays without the batch axis."""
     arrays = info_arrays(sim, np.ones(1, bool) if fresh else None)
     return {
         name: values[0] if values.ndim > 1 else values.tolist()[0]
@@ -47,5 +47,5 @@ def info_of(sim: BatchSim, fresh: bool) -> dict[str, Any]:
 
 
 def masked(infos: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:
-    """Infos as gymnasium's vector environments have them: with ``_name``, who has ``name``."""
+    """Infos in the form of gymnasium's vector environments: ``_name`` masks who has ``name``."""
     return infos | {f"_{name}": mask.copy() for name in infos}

@@ -1,4 +1,4 @@
-"""What the compiled loops read, in records by name: arrays of one shape cannot change places."""
+"""Arguments of the compiled loops as named records: arrays of equal shape cannot be swapped."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class State(NamedTuple):
 
     Attributes:
         qpos, qvel: ``(n, nq)``, ``(n, nv)``; the avatar's come first.
-        xpos, xquat, cvel, com: of the bodies ``(n, nbody, ...)``, as MuJoCo has them; ``com`` is
+        xpos, xquat, cvel, com: ``(n, nbody, ...)`` in MuJoCo's conventions; ``com`` is
             ``subtree_com``.
         foot_force: ``(n, 2, 3)`` force of the floor on each foot, world, N.
     """
@@ -31,10 +31,10 @@ class State(NamedTuple):
 
 
 class Episodes(NamedTuple):
-    """What each of ``n`` simulations plays, and where.
+    """The clip of each of ``n`` simulations, and its place.
 
     Attributes:
-        frame, begin, end: ``(n,)`` reference row now, the clip's first, one past its last.
+        frame, begin, end: ``(n,)`` present reference row, the clip's first, one past its last.
         place: ``(n, 4)`` where the clip is played: x, y, cosine and sine of its turn.
         ratio: ``(n,)`` body height over 1.75 m; reference lengths are of the 1.75 m body.
         height: ``(n,)`` metres.
@@ -53,7 +53,7 @@ class ReferencePoses(NamedTuple):
 
     Attributes:
         qpos: ``(F, 40)``; position: ``(F, 16, 3)``; quat: ``(F, 16, 4)`` of the links.
-        steps: when each foot stands; empty ones will do on a plane.
+        steps: stance phases of the feet; may be empty on a plane.
     """
 
     qpos: np.ndarray
@@ -63,12 +63,12 @@ class ReferencePoses(NamedTuple):
 
 
 class ReferenceRows(NamedTuple):
-    """How ``F`` reference rows move, all clips one after the other.
+    """Velocities and torques of ``F`` reference rows, all clips one after the other.
 
     Attributes:
         qvel: ``(F, 39)``.
         velocity, angular_velocity: ``(F, 16, 3)`` of the links.
-        torque: ``(F, 33)`` of joint limits; empty where nothing is privileged.
+        torque: ``(F, 33)`` as shares of the joints' limits; empty unless privileged.
     """
 
     qvel: np.ndarray
@@ -78,13 +78,13 @@ class ReferenceRows(NamedTuple):
 
 
 class Target(NamedTuple):
-    """What ``n`` simulations are asked to do in ``k`` frames, in the world.
+    """Target poses of ``n`` simulations in ``k`` frames, in the world.
 
     Attributes:
         angles: ``(n, k, 33)`` rad.
         position: ``(n, k, 16, 3)`` of the links in metres, in the world.
-        quat: ``(n, k, 16, 4)`` of the links, as the clip has them before it is turned to its place.
-        rise: ``(n, k, 16)`` what the ground adds to the links' vertical velocity in m/s.
+        quat: ``(n, k, 16, 4)`` of the links, before the clip is turned to its place.
+        rise: ``(n, k, 16)`` vertical velocity in m/s that the ground adds to the links.
     """
 
     angles: np.ndarray
@@ -94,7 +94,7 @@ class Target(NamedTuple):
 
     @staticmethod
     def of(simulations: int, frames: int) -> Target:
-        """Room for that many."""
+        """Allocate targets of ``n`` simulations and ``k`` frames."""
         shape = (simulations, frames)
         return Target(
             np.zeros((*shape, NUM_DOFS)),
@@ -105,12 +105,12 @@ class Target(NamedTuple):
 
 
 class Devices(NamedTuple):
-    """What ``D`` devices report.
+    """Reported poses of ``D`` devices.
 
     Attributes:
         position, quat: ``(F, D, 3)``, ``(F, D, 4)`` in each reference row.
-        late: ``(n,)`` frames by which they are late.
-        newest: ``(n, D)`` the last row that each can show.
+        late: ``(n,)`` latency in frames.
+        newest: ``(n, D)`` the newest row that each device has delivered.
         offsets: ``(k,)`` frames ahead of each block of o_user.
     """
 
@@ -122,7 +122,7 @@ class Devices(NamedTuple):
 
 
 class Privileged(NamedTuple):
-    """Which frames of the reference teachers observe.
+    """Frames of the reference that teachers observe.
 
     Attributes:
         offsets: ``(p,)`` frames ahead; slots: ``(p,)`` their places in the ``Target``.
@@ -136,9 +136,9 @@ class Ground(NamedTuple):
     """The floor.
 
     Attributes:
-        surface: ``(rows, columns)`` height of what collides, or one number for a plane.
-        height: the same of what carries the clips (ditches are bridged), see ``HeightField``.
-        grid: x and y of the grid's first point, and its distance of points.
+        surface: ``(rows, columns)`` height of the colliding ground, or one number for a plane.
+        height: the same, with ditches bridged; clips are lifted by it, see ``HeightField``.
+        grid: x and y of the grid's first point, and the spacing of the grid.
     """
 
     surface: np.ndarray
@@ -154,10 +154,10 @@ def ground_of(field: HeightField | None) -> Ground:
 
 
 class Scores(NamedTuple):
-    """What a step is worth.
+    """Scores of a step.
 
     Attributes:
-        terms: ``(n, 6)`` of the reward; reward: ``(n,)``.
+        terms: ``(n, 6)`` terms of the reward; reward: ``(n,)``.
         error: ``(n,)`` mean distance of the links from the reference in metres.
     """
 

@@ -1,7 +1,7 @@
 """The environments' inner loop, compiled: observation, reward and error of every simulation.
 
-Plain loops over simulations and links, as Numba compiles them; each simulation is independent
-of the others, so that results do not depend on how the batch is split among threads.
+Plain loops over simulations and links, compiled by Numba. Each simulation is independent of the
+others, so results do not depend on how the batch is split among threads.
 ``reward.py`` holds the same terms as readable array functions; the tests compare the two.
 """
 
@@ -35,7 +35,7 @@ def _columns(c, s, w, x, y, z, out, at):
 
 @jit
 def _turn_between(c, s, p, q, out, at):
-    """Write the turn from quaternion p to q, 2 sin(angle / 2) times its axis in S, to out[at:]."""
+    """Write the rotation from p to q, 2 sin(angle / 2) times its axis in S, to out[at:]."""
     w = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
     two = 2.0 if w >= 0.0 else -2.0
     turn_back(
@@ -68,9 +68,8 @@ def observe(
         first, last: the part of ``ids`` this call works on.
         ids: simulations ``(m,)``.
         state, episodes, reference, devices, privileged, ground: see ``kernel_arguments``.
-        target: where the reference asks the links to be in this frame, the next and those of
-            ``privileged``.
-        floor: ``(n,)`` takes the height of the floor below the root, metres.
+        target: target poses of this frame, the next, and those of ``privileged``.
+        floor: ``(n,)`` output: height of the floor below the root, metres.
         obs: ``(n, size)`` float32.
     """
     qpos, qvel, xpos, xquat = state.qpos, state.qvel, state.xpos, state.xquat
@@ -88,7 +87,7 @@ def observe(
         below = ground_at(ground.height, ground.grid, root_x, root_y)
         floor[i] = below
         c, s = heading(qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6])
-        # The heading as the clip sees it, before it was turned to its place.
+        # The heading in the clip's coordinates, before the turn to its place.
         clip_c = c * place[i, 2] + s * place[i, 3]
         clip_s = s * place[i, 2] - c * place[i, 3]
         at = 0
@@ -126,7 +125,7 @@ def observe(
                     dev_position[row, d, 0] * scale,
                     dev_position[row, d, 1] * scale,
                 )
-                # Devices keep their height above the user's own floor.
+                # Device heights are above the user's own floor.
                 z = dev_position[row, d, 2] * scale
                 turn_back(c, s, x - root_x, y - root_y, z, out, at)
                 _columns(
@@ -158,7 +157,7 @@ def observe(
             row, after = frame[i], min(frame[i] + 1, end[i] - 1)
             for j in range(dofs):
                 out[at + j] = 0.5 * (target.angles[i, 0, j] + target.angles[i, 1, j])
-                # Of limits that grow as s^3; what gravity asks of a body grows as s^4.
+                # Torque limits scale with s^3, gravity torques with s^4.
                 torque = 0.5 * (reference.torque[row, j] + reference.torque[after, j])
                 out[at + dofs + j] = scale * torque
             at += 2 * dofs
@@ -215,10 +214,10 @@ def score(
     Args:
         first, last, state, reference: as of ``observe``.
         previous_force: ``(n, 2)`` vertical force on each foot one step earlier, N.
-        episodes: whose ``frame`` is the reference row of the new state.
-        target: whose first frame is what the reference asks for.
+        episodes: ``frame`` is the reference row of the new state.
+        target: target poses; the first frame is compared with the state.
         kernels, weights: ``(6,)`` of the terms, see ``questsim.reward``.
-        scores: to fill.
+        scores: output.
     """
     qpos, qvel, xpos, xquat = state.qpos, state.qvel, state.xpos, state.xquat
     cvel, com, force = state.cvel, state.com, state.foot_force

@@ -1,4 +1,4 @@
-"""The same task for systems that answer with a pose instead of torques."""
+"""The same task for systems whose action is a pose instead of torques."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from questsim.motion.clip import Clip
 
 
 class KinematicVecEnv(QuestVecEnv):
-    """Avatars that take the pose they are given, without physics, scored as the others are.
+    """Avatars set to given poses, without physics; scored like simulated avatars.
 
     Actions are poses ``(n, 40)`` of the next frame: MuJoCo's ``qpos`` of the avatar. Contact
-    forces are zero, velocities the differences of poses.
+    forces are zero; velocities are finite differences of poses.
 
     Args:
         motions, config, num_envs, seed, num_threads, shown, render_mode, **options: as of
@@ -46,7 +46,7 @@ class KinematicVecEnv(QuestVecEnv):
         self._pose = np.zeros((self.num_envs, POSE_SIZE))
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take the poses ``(n, 40)`` of the next frame.
+        """Set the poses ``(n, 40)`` of the next frame.
 
         Raises:
             InputError: a pose is not finite, or a quaternion is zero.

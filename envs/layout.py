@@ -1,4 +1,4 @@
-"""Where each part of an observation lies: QuestSim's 475 numbers by name."""
+"""Layout of an observation: slices of QuestSim's 475 numbers by name."""
 
 from __future__ import annotations
 
@@ -13,21 +13,24 @@ POSE_SIZE = 9
 _SCAN_FORWARD_M = np.linspace(-0.5, 1.0, 11)
 _SCAN_LEFT_M = np.linspace(-0.45, 0.45, 7)
 SCAN_POINTS = np.stack(np.meshgrid(_SCAN_FORWARD_M, _SCAN_LEFT_M, indexing="ij"), -1).reshape(-1, 2)
-"""Where the height scan looks, ``(77, 2)`` in S in metres: 15 cm apart, row by row from behind."""
+"""Points of the height scan, ``(77, 2)`` in S in metres: 15 cm apart, row by row from behind."""
 
 
 def observation_layout(config: EnvConfig) -> dict[str, slice]:
     """Slices of an observation by name; ``"o_sim"``, ``"o_user"``, ``"o_scale"`` hold the rest.
 
-    All in the frame S: on the floor below the root, turned with its heading (QuestSim section
-    3). ``o_sim`` is 312 numbers, ``o_user`` frames x devices x (position 3, orientation 6),
-    ``o_scale`` the height. ``"privileged"``, if the config asks for it, follows; of its first
-    block ``"reference_joint_angles"`` is the next frame's 33 angles. It ends with what a tracker's
-    head adds up: ``"midway_joint_angles"``, 33 between this frame and the next, and
-    ``"reference_torques"``, what the motion takes meanwhile by inverse dynamics, as actions; and
-    with ``"tracking_errors"``: of each link, reference less avatar now in place, orientation (2
-    sin(angle / 2) times the axis), velocity and angular velocity.
-    ``"height_scan"``, likewise if asked for, is the height of the ground at ``SCAN_POINTS``.
+    Everything is in the frame S: on the floor below the root, turned with its heading (QuestSim
+    section 3). ``o_sim`` has 312 numbers, ``o_user`` frames x devices x (position 3, orientation
+    6), ``o_scale`` is the height.
+
+    ``"privileged"`` follows if the config asks for it. Its first block contains
+    ``"reference_joint_angles"``, the 33 angles of the next frame. It ends with three parts:
+    ``"midway_joint_angles"``, 33 angles halfway between this frame and the next;
+    ``"reference_torques"``, the inverse-dynamics torques between the two, as actions; and
+    ``"tracking_errors"``, for each link the present reference minus avatar: position, orientation
+    (2 sin(angle / 2) times the axis), velocity and angular velocity.
+
+    ``"height_scan"``, if the config asks for it, is the height of the ground at ``SCAN_POINTS``.
     """
     layout: dict[str, slice] = {}
     at = 0

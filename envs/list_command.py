@@ -1,4 +1,4 @@
-"""What ``questsim envs`` does."""
+"""The command ``questsim envs``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ class ListEnvsArgs:
 
 
 def list_environments(args: ListEnvsArgs) -> int:
-    """Print ids with what each changes, or all options of one; returns the exit code.
+    """Print the ids with their differences from the defaults, or all options of one id.
+
+    Returns:
+        The exit code.
 
     Raises:
         InputError: there is no such environment or terrain.

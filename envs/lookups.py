@@ -1,4 +1,4 @@
-"""Compiled helpers of the environments' kernels: places, turns, and the ground at a point."""
+"""Compiled helpers of the kernels: places, rotations, and the ground at a point."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def heading(w, x, y, z):
 
 @jit
 def _cell(values, grid, x, y):
-    """Row, column and the place within the cell of a point on a grid; beyond the edge, its edge."""
+    """Row, column and position within the cell of a grid point; clamped to the grid's edge."""
     rows, columns = values.shape
     across = min(max((x - grid[0]) / grid[2], 0.0), columns - 1.0)
     along = min(max((y - grid[1]) / grid[2], 0.0), rows - 1.0)
@@ -54,20 +54,20 @@ def height_at(height, grid, x, y):
 
 @jit
 def turned(place, x, y):
-    """A horizontal vector of a clip in the world."""
+    """Turn a horizontal vector of a clip into the world."""
     return place[2] * x - place[3] * y, place[3] * x + place[2] * y
 
 
 @jit
 def placed(place, x, y):
-    """Where a point of a clip lies in the world."""
+    """World position of a point of a clip."""
     turned_x, turned_y = turned(place, x, y)
     return place[0] + turned_x, place[1] + turned_y
 
 
 @jit
 def unplaced(place, quat):
-    """A quaternion of the world as the clip has it, before it was turned to its place."""
+    """A world quaternion in the clip's coordinates, before the turn to its place."""
     half_c = math.sqrt(max(0.5 * (1.0 + place[2]), 0.0))
     half_s = math.sqrt(max(0.5 * (1.0 - place[2]), 0.0))
     if place[3] < 0.0:

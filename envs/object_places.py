@@ -1,4 +1,4 @@
-"""Where the objects of a batch are put as its episodes begin."""
+"""Initial places of the objects of a batch."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from questsim.motion.synthesis.synthetic import SEATED
 from questsim.skeleton import NUM_DOFS
 
 CLEARANCE_M = 0.55
-"""No object is put nearer than this to the pelvis of an avatar that begins."""
+"""Least distance of an object from the avatar's pelvis at the start of an episode."""
 APART_M = 0.9
-"""Nor two objects nearer to each other: a hurdle reaches 62 cm to each side."""
+"""Least distance between two objects: a hurdle reaches 62 cm to each side."""
 _FIRST_QPOS, _FIRST_QVEL = 7 + NUM_DOFS, 6 + NUM_DOFS
 
 
@@ -43,7 +43,7 @@ class Objects:
     ) -> None:
         n, count = len(qpos), len(objects)
         self._objects, self._random = objects, random
-        # Chairs first: where somebody sits nothing else can be.
+        # Chairs first: the other objects avoid the place of a seated clip's chair.
         self._order = sorted(range(count), key=lambda number: objects[number].kind != "chair")
         self._seats: np.ndarray | None = None
         self._qvel = qvel[:, _FIRST_QVEL:]
@@ -52,7 +52,7 @@ class Objects:
 
     @property
     def force(self) -> np.ndarray:
-        """``(n, count, 3)`` N of the avatar on each object, in the world."""
+        """``(n, count, 3)`` force in N of the avatar on each object, in the world."""
         return self._force
 
     def place(
@@ -64,7 +64,7 @@ class Objects:
         placement: Placement,
         ratio: np.ndarray,
     ) -> None:
-        """Put the objects of episodes ``ids``, which begin at ``rows`` of the reference, down."""
+        """Place the objects of episodes ``ids``, which begin at ``rows`` of the reference."""
         if not self._objects:
             return
         numbers = self._random.draw(ids, clips, 2 * len(self._objects))
@@ -85,7 +85,7 @@ class Objects:
                 [-travel[:, 1], travel[:, 0]], axis=-1
             )
             spot = _kept_away(spot, begin, travel, CLEARANCE_M)
-            for _ in taken:  # what keeps away from one may meet another
+            for _ in taken:  # an object moved away from one may meet another
                 for other in taken:
                     spot = _kept_away(spot, other, travel, APART_M)
             if obj.kind == "chair":
@@ -108,7 +108,7 @@ class Objects:
         spot: np.ndarray,
         travel: np.ndarray,
     ) -> None:
-        """Write where chairs of seated clips stand to ``spot`` and ``travel`` ``(m, 2)``."""
+        """Write place and direction of seated clips' chairs to ``spot``, ``travel`` ``(m, 2)``."""
         if self._seats is None:
             self._seats = _seat_rows(reference)
         rows = self._seats[clips]
@@ -120,20 +120,20 @@ class Objects:
         spot[sits], travel[sits] = hips - SEAT_BEHIND_M * scale * look, look
 
     def seed(self, seeds: Seeds) -> None:
-        """Begin the streams of places anew."""
+        """Seed the random streams of places."""
         self._random.seed(seeds)
 
     def get_state(self) -> Any:
-        """What the coming places depend on."""
+        """State that determines later places."""
         return self._random.get_state()
 
     def set_state(self, state: Any) -> None:
-        """Take up what ``get_state`` gave."""
+        """Restore the result of ``get_state``."""
         self._random.set_state(state)
 
     @staticmethod
     def _direction(step: np.ndarray, place: np.ndarray, quat: np.ndarray) -> np.ndarray:
-        """Unit vectors ``(m, 2)`` of steps, or of where somebody looks who hardly moves."""
+        """Unit vectors ``(m, 2)`` of the travel, or of the heading for steps close to zero."""
         w, x, y, z = quat.astype(float).T
         look = np.stack([1.0 - 2.0 * (y * y + z * z), 2.0 * (w * z + x * y), 0.0 * w], axis=-1)
         still = place.copy()
@@ -145,7 +145,7 @@ class Objects:
 
 
 def _seat_rows(reference: Reference) -> np.ndarray:
-    """Of each clip the row ``(C,)`` in which somebody sits; -1 for clips that are not seated."""
+    """For each clip the row ``(C,)`` in which the user sits; -1 for clips that are not seated."""
     rows = np.full(len(reference.names), -1)
     for clip, kind in enumerate(reference.kinds):
         if kind in SEATED:

@@ -1,4 +1,4 @@
-"""Objects in the avatar's way: bodies that physics moves, and that move the avatar."""
+"""Objects in the avatar's way: free bodies that interact with the avatar."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _SHAPES: dict[str, tuple[float, tuple[_Geom, ...]]] = {
 }
 OBJECTS: tuple[str, ...] = tuple(_SHAPES)
 _RGBA = (0.85, 0.75, 0.3, 1.0)
-# Of a contact sensor: data "force", reduce "netforce", one number of contacts.
+# Contact sensor: data "force", reduce "netforce", one contact.
 _NET_FORCE = [2, 3, 1]
 
 
@@ -51,16 +51,16 @@ class WorldObject:
     """An object put on the ground beside or on the path of each episode's clip.
 
     Attributes:
-        kind: one of ``OBJECTS``: a football, a box of 30 x 40 x 20 cm, a hurdle
-            22 cm high, a chair, which is as tall as the avatar asks for (its seat is at 45 cm for
-            1.75 m). In a seated clip a chair stands where the clip sits, whatever follows here.
-        ahead_s: it stands where the clip is this many seconds after the episode's start, turned
-            as the clip travels there; never within half a metre of where the avatar begins.
-        aside_m: to the left of that place, in metres.
-        mass_kg: None for the kind's own.
+        kind: one of ``OBJECTS``: a football, a box of 30 x 40 x 20 cm, a hurdle 22 cm high, or a
+            chair, scaled with the avatar (its seat is at 45 cm for 1.75 m). In a seated clip the
+            chair stands where the clip sits, and the fields below are ignored.
+        ahead_s: the object stands where the clip is this many seconds after the episode's start,
+            turned with the clip's travel; at least half a metre from the avatar's start.
+        aside_m: offset to the left of that place, in metres.
+        mass_kg: mass; None for the default of the kind.
 
     Raises:
-        InputError: an unknown kind, or a range that is none.
+        InputError: an unknown kind, or an invalid range.
     """
 
     kind: str = "ball"
@@ -80,14 +80,14 @@ class WorldObject:
 
 
 def objects_named(names: Sequence[str], where: str = "objects") -> tuple[WorldObject, ...]:
-    """Objects of these kinds, with the options that they have by default.
+    """Objects of the given kinds, with default options.
 
     Args:
-        names: out of ``OBJECTS``.
-        where: they come from, for the error.
+        names: kinds of ``OBJECTS``.
+        where: source of the names, for error messages.
 
     Raises:
-        InputError: there is no such kind.
+        InputError: an unknown kind.
     """
     for name in names:
         if name not in OBJECTS:
@@ -102,7 +102,7 @@ def _scaled(part: _Geom, scale: float) -> _Geom:
 
 
 def _made_of(obj: WorldObject, height_m: float) -> tuple[float, tuple[_Geom, ...]]:
-    """An object's mass and parts beside an avatar of that stature."""
+    """Mass and parts of an object for an avatar of the given stature."""
     mass, parts = _SHAPES[obj.kind]
     if obj.kind == "chair":
         scale = height_m / DEFAULT_HEIGHT_M
@@ -111,11 +111,11 @@ def _made_of(obj: WorldObject, height_m: float) -> tuple[float, tuple[_Geom, ...
 
 
 def shapes_of(obj: WorldObject, height_m: float = DEFAULT_HEIGHT_M) -> tuple[ObjectShape, ...]:
-    """What an object looks like.
+    """Geometry of an object for rendering.
 
     Args:
         obj: the object.
-        height_m: the avatar's stature, which chairs are made for.
+        height_m: the avatar's stature; chairs scale with it.
     """
     return tuple(
         ObjectShape("ball", size[:1], place) if kind == _SPHERE else ObjectShape("box", size, place)
@@ -131,7 +131,7 @@ def add_objects(
     Args:
         spec: of an avatar on the ground.
         objects: what to add.
-        height_m: the avatar's stature, which chairs are made for.
+        height_m: the avatar's stature; chairs scale with it.
     """
     for number, obj in enumerate(objects):
         mass, parts = _made_of(obj, height_m)

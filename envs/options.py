@@ -26,11 +26,11 @@ _T = TypeVar("_T")
 
 
 class UnknownOptionError(InputError, TypeError):
-    """A keyword that is no option.
+    """Error for an unknown keyword option.
 
-    Also a ``TypeError`` in Python's own words, by which libraries find out what a constructor
-    takes (TorchRL tries ``frameskip``). gymnasium raises such errors again with all arguments
-    behind the message: clips would fill the screen, so that part is dropped.
+    It is also a ``TypeError`` with Python's wording, because libraries probe constructors that way
+    (TorchRL tries ``frameskip``). gymnasium re-raises such errors with all arguments appended;
+    clips would fill the screen, so that part is dropped.
     """
 
     def __init__(self, name: Any, known: Sequence[str] = ()) -> None:
@@ -44,10 +44,10 @@ class UnknownOptionError(InputError, TypeError):
 
 
 def clips_of(motions: Any) -> Sequence[Clip]:
-    """Clips as they are, or those that a motion argument names.
+    """Return clips unchanged; load those that a motion argument names.
 
     Raises:
-        InputError: neither, or no such motions.
+        InputError: neither clips nor a motion argument, or no such motions.
     """
     if isinstance(motions, Clip):
         return [motions]
@@ -77,15 +77,15 @@ def _listed(motions: Any) -> list[Any]:
 
 
 def config_from(options: Mapping[str, Any]) -> EnvConfig:
-    """A config of keyword options in plain forms.
+    """Make a config from keyword options in plain forms.
 
     For example ``{"terrain": "rough:seed=3", "objects": ("chair",), "heights": 1.7,
-    "pushes": (0, 100), "reward": {"contact": 0.5}}``: a terrain or an object is its name, one
-    height is that of all, two numbers are the force of pushes in newtons, and a mapping has the
-    fields that differ from their defaults.
+    "pushes": (0, 100), "reward": {"contact": 0.5}}``. A terrain or an object is given by its name;
+    one height applies to all; two numbers are the range of the pushes' force in newtons; a mapping
+    contains the fields that differ from their defaults.
 
     Raises:
-        InputError: there is no such option, or its value cannot be used.
+        InputError: an unknown option, or an invalid value.
     """
     known = [field.name for field in fields(EnvConfig)]
     for name in options:
@@ -95,14 +95,14 @@ def config_from(options: Mapping[str, Any]) -> EnvConfig:
 
 
 def config_of(config: Any, options: Mapping[str, Any]) -> EnvConfig:
-    """The config of a constructor that takes one as well as keyword options.
+    """Combine the config and the keyword options of a constructor.
 
     Args:
         config: an ``EnvConfig``, a mapping of its fields, or None.
         options: keyword options, among them those of an id such as ``QuestSimRough-v0``.
 
     Raises:
-        InputError: the two contradict each other, or as ``config_from``.
+        InputError: the two contradict each other, or an option is invalid (see ``config_from``).
     """
     if config is None:
         return config_from(options)
@@ -161,7 +161,7 @@ def _frames(value: Any) -> Any:
 
 
 def _fields_of(kind: type[_T], value: Any, where: str) -> Any:
-    """A mapping as a dataclass of a kind; anything else as it is, for ``EnvConfig`` to judge."""
+    """Make a dataclass from a mapping; anything else is returned for ``EnvConfig`` to check."""
     if not isinstance(value, Mapping):
         return value
     known = [field.name for field in fields(kind)]  # type: ignore[arg-type]
@@ -194,7 +194,7 @@ def _unknown(name: Any, known: Sequence[str]) -> str:
 
 
 def _shown(value: Any) -> str:
-    """A value in an error: short, and of an array or a clip no more than its type."""
+    """A short text of a value for an error message; only the type of arrays and clips."""
     if isinstance(value, Terrain):
         return f"the terrain {value.kind!r}"
     plain = value is None or isinstance(value, bool | int | float | str)

@@ -16,10 +16,10 @@ POSE_SIZE = 7 + NUM_DOFS
 
 
 def check_render_mode(render_mode: Any, modes: list[str]) -> None:
-    """Refuse an unknown render mode, or a window where there is nothing to show it with.
+    """Reject an unknown render mode, or a window without pygame.
 
     Raises:
-        InputError: saying what may be given, or what to install.
+        InputError: with the valid modes, or what to install.
     """
     if render_mode is not None and render_mode not in modes:
         listed = ", ".join(map(repr, modes))
@@ -41,7 +41,7 @@ def _pygame() -> Any:
 
 
 class Pictures:
-    """Renders the simulations of a batch, each seen from where its avatar looked first.
+    """Renders the simulations of a batch; the camera is set by the avatar's first heading.
 
     Args:
         sim: the batch.
@@ -95,7 +95,7 @@ class Window:
         self._clock: Any = None
 
     def show(self, picture: np.ndarray) -> None:
-        """Show a picture ``(height, width, 3)`` uint8, as soon as the last one was seen."""
+        """Show a picture ``(height, width, 3)`` uint8; waits to keep the frame rate."""
         pygame = self._pygame
         if self._screen is None:
             pygame.display.init()

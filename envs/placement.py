@@ -1,4 +1,4 @@
-"""Where on the ground each episode's clip is played."""
+"""Places of the episodes' clips on the ground."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from questsim.heightfield import HeightField
 
 _ANGLES = {"up": 0.0, "down": np.pi, "across": 0.5 * np.pi}
 _LEAST_TRAVEL_M = 0.5
-"""Clips that end nearer than this to where they began are turned by where they look instead."""
+"""Clips that travel less than this from start to end are turned by their heading instead."""
 
 
 class Placement:
@@ -23,10 +23,10 @@ class Placement:
 
     Args:
         reference: the clips.
-        terrain: or None for a plane.
+        terrain: the ground; None for a plane.
         ratio: ``(n,)`` height of each simulation's body over 1.75 m.
-        seed: of the places.
-        fixed: a clip is always played at the same place, whatever the batch.
+        seed: seed of the places.
+        fixed: a clip always has the same place, whatever the batch.
 
     Attributes:
         place: ``(n, 4)`` x and y of the clip's origin in metres, cosine and sine of its turn.
@@ -69,11 +69,11 @@ class Placement:
             )
 
     def seed(self, seeds: Seeds) -> None:
-        """Begin the streams of places anew."""
+        """Seed the random streams of places."""
         self._random.seed(seeds)
 
     def draw(self, ids: np.ndarray, clips: np.ndarray) -> None:
-        """Choose places of simulations ``ids`` that begin to play ``clips``."""
+        """Draw places for simulations ``ids``, which begin to play ``clips``."""
         terrain, field = self._terrain, self.field
         if terrain is None or field is None:
             return
@@ -106,7 +106,7 @@ class Placement:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Take up what ``get_state`` gave."""
+        """Restore the result of ``get_state``."""
         self._random.set_state(state["rng"])
         self.place[:], self.tile[:] = state["place"], state["tile"]
 
@@ -117,7 +117,7 @@ def _tiles(terrain: Terrain, numbers: np.ndarray) -> np.ndarray:
     share, numbers = terrain.flat_share, numbers.copy()
     flat = numbers[:, 0] < share
     if share > 0.0:
-        # What is left of [0, 1) beyond the share is spread evenly over the columns of tiles.
+        # The rest of [0, 1) is spread evenly over the columns of tiles.
         numbers[:, 0] = np.maximum(numbers[:, 0] - share, 0.0) / max(1.0 - share, 1e-9)
     tiles = np.minimum((numbers * shape).astype(np.int64), shape - 1)
     tiles[:, 0] = np.where(flat, 0, tiles[:, 0] + len(terrain.columns) - len(terrain.tiles))
@@ -125,7 +125,7 @@ def _tiles(terrain: Terrain, numbers: np.ndarray) -> np.ndarray:
 
 
 def _path(reference: Reference, clip: int) -> tuple[np.ndarray, float, float]:
-    """Middle and radius of a circle around a clip's path, and the angle it travels at."""
+    """Centre and radius of a circle around a clip's path, and the angle of its travel."""
     rows = slice(int(reference.start[clip]), int(reference.end[clip]))
     roots = reference.qpos[rows, :2].astype(float)
     middle = 0.5 * (roots.min(axis=0) + roots.max(axis=0))
@@ -137,7 +137,7 @@ def _path(reference: Reference, clip: int) -> tuple[np.ndarray, float, float]:
 
 
 def turned(place: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Vectors ``(m, ..., 3)`` of clips as they are in the world, at places ``(m, 4)``."""
+    """Turn vectors ``(m, ..., 3)`` of clips into the world, at places ``(m, 4)``."""
     shape = (len(place), *[1] * (vectors.ndim - 2))
     cos, sin = place[:, 2].reshape(shape), place[:, 3].reshape(shape)
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
@@ -145,7 +145,7 @@ def turned(place: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 
 def moved(place: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points ``(m, ..., 3)`` of clips as they are in the world, not lifted yet."""
+    """Move points ``(m, ..., 3)`` of clips into the world; they are not lifted yet."""
     out = turned(place, points)
     out[..., 0] += place[:, 0].reshape((len(place), *[1] * (points.ndim - 2)))
     out[..., 1] += place[:, 1].reshape((len(place), *[1] * (points.ndim - 2)))

@@ -17,17 +17,17 @@ MAX_FORCE_N, MAX_SECONDS = 2000.0, 60.0
 
 @dataclass(frozen=True)
 class Pushes:
-    """Horizontal pushes in directions drawn evenly; every range is drawn from anew each time.
+    """Horizontal pushes in random directions; every push draws new values from the ranges.
 
     Attributes:
         force_n: least and greatest force in newtons.
-        duration_s: for how long.
-        pause_s: from the episode's start to the first push, and from one push's end to the next.
+        duration_s: least and greatest duration.
+        pause_s: time from the episode's start to the first push, and from one push to the next.
         body: the link that is pushed, at its centre of mass.
         count: pushes in an episode; None for no limit.
 
     Raises:
-        InputError: a range that is none, an unknown link, or a count below 1.
+        InputError: an invalid range, an unknown link, or a count below 1.
     """
 
     force_n: tuple[float, float] = (50.0, 100.0)
@@ -52,10 +52,10 @@ class Pushes:
 def check_range(
     name: str, low_high: tuple[float, float], least: float, most: float, where: str
 ) -> None:
-    """Refuse a range that is not ``least <= low <= high <= most``.
+    """Reject a range that is not ``least <= low <= high <= most``.
 
     Raises:
-        InputError: naming it.
+        InputError: with the name of the field.
     """
     try:
         low, high = low_high
@@ -71,7 +71,7 @@ def check_range(
 
 
 class Pusher:
-    """The pushes of a batch, those of the options and those by hand.
+    """The pushes of a batch: random ones of the options, and those by hand.
 
     Args:
         pushes: options, None for none.
@@ -79,7 +79,7 @@ class Pusher:
         wrench: the batch's bound ``xfrc_applied`` ``(n, bodies, 6)``.
 
     Attributes:
-        force: ``(n, 3)`` N, world: what is pushed with in the present step.
+        force: ``(n, 3)`` N, world: force of the present step.
     """
 
     def __init__(self, pushes: Pushes | None, random: EpisodeRandom, wrench: np.ndarray) -> None:
@@ -94,7 +94,7 @@ class Pusher:
         self._body = np.full(n, 1 + LINKS.index(pushes.body if pushes else "chest"))
 
     def begin(self, ids: np.ndarray, clips: np.ndarray) -> None:
-        """Episodes ``ids`` begin, with clips ``clips``."""
+        """Begin episodes ``ids`` with clips ``clips``."""
         self._left_s[ids], self._done[ids], self._clip[ids] = 0.0, 0, clips
         self.force[ids], self._wrench[ids] = 0.0, 0.0
         self._plan(ids)
@@ -114,7 +114,7 @@ class Pusher:
         self._wish[i], self._left_s[i], self._body[i] = force, seconds, 1 + LINKS.index(body)
 
     def _plan(self, ids: np.ndarray) -> None:
-        """Draw the time until the next push, where one is to come."""
+        """Draw the time until the next push, where one is left."""
         pushes = self._pushes
         if pushes is None or len(ids) == 0:
             return
@@ -143,24 +143,24 @@ class Pusher:
                 self._pause_s[begins] = np.inf
                 self._plan(begins)
             self._pause_s[self._left_s <= 0.0] -= 1.0 / FPS
-        # A push that ends within the step is weaker in it: the impulse is exact.
+        # A push that ends within the step is scaled down, so that the impulse is exact.
         share = np.clip(self._left_s * FPS, 0.0, 1.0)
         self.force[:] = share[:, None] * self._wish
         self._wrench[np.arange(len(share)), self._body, :3] = self.force
         self._left_s[:] = np.maximum(self._left_s - 1.0 / FPS, 0.0)
 
     def seed(self, seeds: Seeds) -> None:
-        """Begin the streams of pushes anew."""
+        """Seed the random streams of pushes."""
         self._random.seed(seeds)
 
     def get_state(self) -> dict[str, Any]:
-        """What the coming pushes depend on."""
+        """State that determines later pushes."""
         state = {k: v.copy() for k, v in vars(self).items() if isinstance(v, np.ndarray)}
         del state["_wrench"]
         return state | {"chance": self._random.get_state()}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Take up what ``get_state`` gave."""
+        """Restore the result of ``get_state``."""
         self._random.set_state(state["chance"])
         for name, value in state.items():
             if name != "chance":

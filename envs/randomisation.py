@@ -1,4 +1,4 @@
-"""Differences between the simulations of a batch: what a policy should not rely on."""
+"""Random differences between the simulations of a batch, for robust policies."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ NEVER = np.iinfo(np.int64).max
 
 @dataclass(frozen=True)
 class Randomisation:
-    """Ranges from which each simulation of a batch draws once, and keeps.
+    """Ranges of the random values; each simulation of a batch draws once.
 
     Attributes:
         friction: factor on the friction of avatar and floor.
         mass: factor on mass and inertia of all links.
-        latency_frames: whole frames by which the devices' signals are late.
-        dropout: chance a frame that a device falls silent ...
-        dropout_frames: ... and for how many frames it then shows its last pose.
+        latency_frames: latency of the devices in whole frames.
+        dropout: probability per frame that a dropout of a device begins.
+        dropout_frames: duration of a dropout; the device then repeats its last pose.
 
     Raises:
-        InputError: a range that is none.
+        InputError: an invalid range.
     """
 
     friction: tuple[float, float] = (1.0, 1.0)
@@ -70,16 +70,16 @@ def varied_models(
 
 
 class SignalFaults:
-    """How late and how silent the devices of each simulation are.
+    """Latency and dropout of the devices of each simulation.
 
     Args:
-        options: ranges, None for perfect devices.
-        n, devices: simulations, and devices of each.
-        seed: of everything drawn.
+        options: ranges; None for perfect devices.
+        n, devices: number of simulations, and of devices in each.
+        seed: random seed.
 
     Attributes:
-        late: ``(n,)`` frames.
-        newest: ``(n, devices)`` the latest row of the reference that a device can show.
+        late: ``(n,)`` latency in frames.
+        newest: ``(n, devices)`` the newest row of the reference that a device has delivered.
     """
 
     def __init__(self, options: Randomisation | None, n: int, devices: int, seed: int) -> None:
@@ -93,11 +93,11 @@ class SignalFaults:
         self._until = np.zeros((n, devices), np.int64)
 
     def begin(self, ids: np.ndarray) -> None:
-        """Devices of simulations ``ids`` speak again."""
+        """End the dropouts of simulations ``ids``."""
         self.newest[ids], self._until[ids] = NEVER, 0
 
     def advance(self, newest: np.ndarray) -> None:
-        """One frame later; ``newest`` ``(n,)`` is the row that devices would show last."""
+        """Advance one frame; ``newest`` ``(n,)`` is the newest row without dropouts."""
         if not self.dropout.any():
             return
         self._until = np.maximum(self._until - 1, 0)
@@ -112,11 +112,11 @@ class SignalFaults:
         self.newest[falls] = shown[falls]
 
     def seed(self, seeds: Seeds) -> None:
-        """Begin the streams of silences anew; latencies and chances stay."""
+        """Seed the random streams of dropouts; latencies and probabilities stay."""
         self._streams.seed(seeds)
 
     def get_state(self) -> dict[str, object]:
-        """What the coming signals depend on."""
+        """State that determines later signals."""
         return {
             "rng": self._streams.get_state(),
             "newest": self.newest.copy(),
@@ -124,6 +124,6 @@ class SignalFaults:
         }
 
     def set_state(self, state: dict) -> None:
-        """Take up what ``get_state`` gave."""
+        """Restore the result of ``get_state``."""
         self._streams.set_state(state["rng"])
         self.newest[:], self._until[:] = state["newest"], state["until"]

@@ -1,4 +1,4 @@
-"""All reference clips as rows of flat arrays, as the compiled kernels read them."""
+"""All reference clips as rows of flat arrays for the compiled kernels."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ class Reference:
     """``F`` frames of all clips, one clip after the other, on the 1.75 m body.
 
     Attributes:
-        names, kinds: of each clip.
+        names, kinds: name and kind of each clip.
         heights: ``(C,)`` stature in metres of each clip's own body.
         start, end: ``(C,)`` first row of each clip, and one past its last.
         qpos, qvel: ``(F, 40)``, ``(F, 39)``.
         position, quat, velocity, angular_velocity: ``(F, 16, ...)``.
-        torque: ``(F, 33)`` what the motion takes, as shares of the joints' limits; ``(0, 33)``
+        torque: ``(F, 33)`` inverse-dynamics torques as shares of the joints' limits; ``(0, 33)``
             unless the config is privileged.
-        steps: when each foot stands; of no frames on a plane, where nobody asks.
-        dev_position, dev_quat: ``(F, D, ...)`` poses of the devices the policy sees.
+        steps: stance phases of the feet; empty on a plane, which does not need them.
+        dev_position, dev_quat: ``(F, D, ...)`` poses of the devices that the policy observes.
     """
 
     names: tuple[str, ...]
@@ -57,12 +57,12 @@ class Reference:
 
     @property
     def rows(self) -> ReferenceRows:
-        """What the kernels of observation and reward read."""
+        """Velocities and torques, for the kernels of observation and reward."""
         return ReferenceRows(self.qvel, self.velocity, self.angular_velocity, self.torque)
 
     @staticmethod
     def of(clips: Sequence[Clip], config: EnvConfig, seed: int) -> Reference:
-        """Pack clips, and the devices' signals with the config's noise, if any.
+        """Pack clips and the device poses, with the config's sensor noise.
 
         Raises:
             InputError: there are no clips, or one is shorter than the future window.

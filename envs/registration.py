@@ -19,15 +19,15 @@ ENVIRONMENTS: dict[str, dict[str, Any]] = {
     "QuestSimCourse-v0": {"terrain": "course"},
     "QuestSimMixed-v0": {"terrain": "mixed"},
 }
-"""Ids and the options in which each differs from the defaults of ``EnvConfig``."""
+"""Ids, each with the options that differ from the defaults of ``EnvConfig``."""
 
 
 def register() -> None:
     """Register the ids that are not registered yet.
 
-    ``import envs`` calls it, and so does a program that loads the entry points of the group
-    ``gymnasium.envs``. gymnasium itself loads no entry points since its version 1.0: a process
-    that does not import ``envs`` makes ``gym.make("envs:QuestSim-v0")``.
+    ``import envs`` calls this function; programs that load the entry points of the group
+    ``gymnasium.envs`` also do. gymnasium itself loads no entry points since version 1.0. Without
+    an import of ``envs``, use ``gym.make("envs:QuestSim-v0")``.
     """
     for name, options in ENVIRONMENTS.items():
         if name not in registry:

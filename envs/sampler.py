@@ -1,4 +1,4 @@
-"""Where episodes begin: uniformly over frames, or more often where the policy falls."""
+"""Sampling of episode starts: uniform over frames, or more often where the policy falls."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import numpy as np
 from envs.reference import Reference
 
 BIN_FRAMES = 36
-"""Moments within a clip are told apart by the second."""
+"""Width of the bins of moments within a clip: one second."""
 HORIZON_FRAMES = 72
 """A fall within this many frames counts against the moment the episode began."""
 SMOOTHING = 0.2
 WEIGHT_RANGE = (0.3, 3.0)
-"""Chances lie within these multiples of the mean: no clip is forgotten, none takes over."""
+"""Bounds of the sampling weights, as multiples of the mean: no clip vanishes or dominates."""
 
 
 class Sampler:
@@ -20,10 +20,10 @@ class Sampler:
 
     Args:
         reference: the clips.
-        weighted: whether falls raise a clip's and a moment's chance.
-        by_kind: whether kinds of motion come in proportion to the square root of their frames, so
-            that 20 clips of one kind are not drowned by 400 of another.
-        tail: frames at a clip's end in which no episode begins.
+        weighted: whether falls raise the probability of a clip and a moment.
+        by_kind: whether kinds of motion are drawn in proportion to the square root of their frames.
+            Then 20 clips of one kind still appear beside 400 of another.
+        tail: number of frames at a clip's end in which no episode begins.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Sampler:
         return self._clip_of_bin[pick], self._bin_start[pick] + within
 
     def weights(self) -> np.ndarray:
-        """Unnormalised chance of each bin: frames, times how often clip and moment fail."""
+        """Unnormalised weight of each bin: frames times failure rates of clip and moment."""
         if not self._weighted:
             return self._amount
         clip = _bounded(self.clip_failure)
@@ -68,7 +68,7 @@ class Sampler:
     def record(
         self, clips: np.ndarray, first: np.ndarray, length: np.ndarray, fell: np.ndarray
     ) -> None:
-        """Learn from ended episodes: clip, first frame in it, frames played, whether it fell."""
+        """Update from ended episodes: clip, first frame in it, frames played, whether it fell."""
         if not self._weighted or len(clips) == 0:
             return
         soon = fell & (length <= HORIZON_FRAMES)
@@ -81,7 +81,7 @@ class Sampler:
         self._cumulative = None
 
     def forget(self) -> None:
-        """Take every clip and moment as equally hard again."""
+        """Reset the failure rates: all clips and moments are equally hard."""
         self.clip_failure[:], self.bin_failure[:] = 0.5, 0.5
         self._cumulative = None
 
@@ -90,7 +90,7 @@ class Sampler:
         return {"clip_failure": self.clip_failure.copy(), "bin_failure": self.bin_failure.copy()}
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
-        """Take up the rates of ``get_state``."""
+        """Restore the rates of ``get_state``."""
         self.clip_failure[:] = state["clip_failure"]
         self.bin_failure[:] = state["bin_failure"]
         self._cumulative = None

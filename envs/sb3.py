@@ -1,4 +1,4 @@
-"""stable-baselines3's face of the batch: no Python loop over environments."""
+"""The stable-baselines3 VecEnv of the batch, without a Python loop over environments."""
 
 from __future__ import annotations
 
@@ -24,21 +24,20 @@ from questsim.skeleton import NUM_DOFS
 
 
 class QuestVecEnv(VecEnv, EzPickle):
-    """The avatars of a ``BatchSim`` as a VecEnv; ended episodes begin anew by themselves.
+    """The avatars of a ``BatchSim`` as a VecEnv; ended episodes are reset automatically.
 
-    ``infos[i]`` is empty but at an episode's end, when it holds ``terminal_observation``,
+    ``infos[i]`` is empty except at an episode's end. Then it holds ``terminal_observation``,
     ``TimeLimit.truncated``, ``episode`` (``r``, ``l``, ``t``), ``clip``, ``kind``, ``fell`` and
-    the mean of each term of the reward by name. The terms of every single step are in
-    ``reward_terms`` ``(n, terms)``, in the order of ``reward_names``.
+    the mean of each reward term by name. The terms of each step are in ``reward_terms``
+    ``(n, terms)``, in the order of ``reward_names``.
 
-    Copies and pickles are made anew from these arguments: they begin no episode.
+    Copies and pickles are rebuilt from the arguments and need a ``reset``.
 
     Args:
         motions: a motion argument or clips.
         config: options of the task; keyword options make one, e.g. ``sensors="H"``.
         num_envs, num_threads, shown: as of ``BatchSim``.
-        seed: of all that is drawn; with None each VecEnv draws other episodes until ``seed``
-            gives a seed.
+        seed: random seed; with None each VecEnv draws different episodes until ``seed`` is called.
         render_mode: ``"rgb_array"`` or None.
         **options: fields of ``EnvConfig``, also in the plain forms of ``envs.options``.
 
@@ -76,7 +75,7 @@ class QuestVecEnv(VecEnv, EzPickle):
         self._restored = False
 
     def __getattr__(self, name: str) -> Any:
-        """Everything else is the simulation's: layout, link_positions, reward_terms, ..."""
+        """Forward other attributes to the simulation: layout, link_positions, reward_terms, ..."""
         if name == "sim" or name.startswith("__"):
             raise AttributeError(name)
         return getattr(self.sim, name)
@@ -92,11 +91,11 @@ class QuestVecEnv(VecEnv, EzPickle):
         return self.sim.body.damping
 
     def change_clips(self, clips: Sequence[Clip], seed: int) -> None:
-        """Go on with other clips, without a restart: ``reset`` begins episodes of them.
+        """Replace the clips; ``reset`` then begins episodes of the new ones.
 
         Args:
-            clips: instead of those until now.
-            seed: of all that is drawn from now on.
+            clips: the new clips.
+            seed: random seed from now on.
 
         Raises:
             InputError: the clips cannot be played.
@@ -108,7 +107,7 @@ class QuestVecEnv(VecEnv, EzPickle):
     def reset(self) -> np.ndarray:
         """Begin an episode in every environment; observations ``(n, size)``.
 
-        The first reset after ``set_state`` begins nothing: the restored episodes go on.
+        The first reset after ``set_state`` begins no episode: the restored episodes continue.
         """
         if self._restored:
             self._restored = False
@@ -186,19 +185,19 @@ class QuestVecEnv(VecEnv, EzPickle):
         self._return[ids], self._length[ids], self._terms[ids] = 0.0, 0, 0.0
 
     def get_state(self) -> dict[str, Any]:
-        """What the coming steps depend on, for resuming a training."""
+        """State that determines all later steps, to resume a training."""
         sums = {"returns": self._return, "lengths": self._length, "terms": self._terms}
         return self.sim.get_state() | {name: value.copy() for name, value in sums.items()}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Take up what ``get_state`` gave; get the observation by ``reset``, then step on.
+        """Restore the result of ``get_state``. ``reset`` then returns the observation.
 
         Raises:
-            InputError: the state is of another number of environments.
+            InputError: the state has a different number of environments.
         """
         self.sim.set_state(state)
         self._unseeded = False
-        # A seed that waits for the next reset would undo the restored random numbers.
+        # A pending seed would overwrite the restored random numbers at the next reset.
         self._reset_seeds()
         if "physics" in state:
             self._return[:], self._length[:] = state["returns"], state["lengths"]
@@ -217,7 +216,7 @@ class QuestVecEnv(VecEnv, EzPickle):
         self.sim.close()
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """The attribute of the whole batch, once for each environment asked for."""
+        """An attribute of the whole batch, repeated for each requested environment."""
         return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
@@ -227,7 +226,7 @@ class QuestVecEnv(VecEnv, EzPickle):
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
-        """Call a method of the whole batch once; its result for each environment asked for."""
+        """Call a method of the whole batch once; repeat its result for each environment."""
         result = getattr(self, method_name)(*args, **kwargs)
         return [result for _ in self._get_indices(indices)]
 

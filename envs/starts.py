@@ -1,7 +1,7 @@
-"""How episodes begin when it is not in the reference's own state.
+"""Initial states of episodes that differ from the reference's state.
 
-A user's whole-body state is never known, and an avatar that was pushed or stumbled is somewhere
-else: so episodes may begin standing at rest, or disturbed, as far off as is worth catching.
+A live user's whole-body state is unknown, and a pushed avatar is off the reference. So episodes may
+begin standing at rest, or with a disturbance from which recovery is possible.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from questsim.errors import InputError
 from questsim.skeleton import NUM_DOFS
 
 _CENTRE_M = 0.55
-"""Height of the centre of mass over stature: a lean of 1 rad moves it by this."""
+"""Height of the centre of mass over stature: a lean of 1 rad moves it by this share."""
 _NUMBERS = 8 + NUM_DOFS
 
 
 @dataclass(frozen=True)
 class Starts:
-    """Shares of the episodes that begin otherwise than the reference, and by how much.
+    """Shares of the episodes that do not begin in the reference's state, and their errors.
 
     Attributes:
-        standing: share that begins upright, arms hanging, at rest, where the reference is.
+        standing: share that begins upright, arms hanging, at rest, at the reference's place.
         still: share that begins in the reference's pose, at rest.
-        disturbed: share that begins in the reference's pose with the errors below, each drawn
-            evenly up to its greatest value, in any direction.
-        lean_m: the avatar leans as a whole so far that its centre of mass is off by this, ...
-        speed_m_s: ... and topples with this speed of its centre of mass.
-        place_m: horizontal error of place.
+        disturbed: share that begins in the reference's pose with the errors below. Each is drawn
+            uniformly up to its greatest value, in a random direction.
+        lean_m: displacement of the centre of mass by a lean of the whole body.
+        speed_m_s: speed of the centre of mass as the body topples.
+        place_m: horizontal error of the position.
         lift_m: height above the ground.
         joints_rad: error of every joint angle.
 
     Raises:
-        InputError: shares that are none, or an error that is negative or beyond its greatest.
+        InputError: an invalid share, or an error that is negative or above its limit.
     """
 
     standing: float = 0.0
@@ -73,10 +73,10 @@ class Starts:
 
 
 class Beginnings:
-    """Changes the poses in which episodes of a batch begin.
+    """Changes the initial states of a batch's episodes.
 
     Args:
-        options: None for the reference's own state.
+        options: shares and errors; None for the reference's state.
         random: numbers to draw from.
         heights: ``(n,)`` statures in metres.
         joint_range: ``(33, 2)`` of the hinges in rad.
@@ -103,10 +103,10 @@ class Beginnings:
         """Change states in place: ``qpos (m, 40)`` and ``qvel (m, 39)`` of simulations ``ids``.
 
         Args:
-            ids, clips: ``(m,)`` simulations, and the clip that each begins.
-            qpos, qvel: in the reference's state, in the world.
-            clearance: the height ``(m,)`` of the lowest sole point above the ground in poses
-                ``(m, 40)`` of simulations ``ids``.
+            ids, clips: ``(m,)`` simulations, and the clip of each.
+            qpos, qvel: the reference's state in the world.
+            clearance: function of poses ``(m, 40)`` and ids that returns the height ``(m,)`` of
+                the lowest sole point above the ground.
         """
         options = self._options
         if options is None or options.total == 0.0 or len(ids) == 0:
@@ -120,7 +120,7 @@ class Beginnings:
         self._disturb(disturbed, numbers[disturbed], self._heights[ids], qpos, qvel)
         above = clearance(qpos)
         lift = np.where(disturbed, options.lift_m * numbers[:, 7], 0.0)
-        # Somebody who stands does so on the ground; who is disturbed has no foot in it.
+        # Put standing avatars on the ground; lift disturbed ones until no foot is in it.
         below = np.where(disturbed, np.minimum(above, 0.0), above)
         changed = standing | disturbed
         qpos[changed, 2] += (lift - below)[changed]
@@ -133,7 +133,7 @@ class Beginnings:
         qpos: np.ndarray,
         qvel: np.ndarray,
     ) -> None:
-        """Lean, topple, shift and bend the avatars ``which`` ``(m,)`` bool."""
+        """Disturb the avatars ``which`` ``(m,)`` bool: lean, speed, place and joint angles."""
         options = self._options
         assert options is not None
         centre_m = _CENTRE_M * heights[which]
@@ -150,21 +150,21 @@ class Beginnings:
         inverse = rot.quat_conjugate(qpos[which, 3:7])
         qvel[which, 3:6] += rot.as_rotation(inverse).apply(spin)
         error = options.joints_rad * (2.0 * numbers[:, 8:] - 1.0)
-        # A joint that the reference has beyond its range stays there.
+        # A joint that is beyond its range in the reference stays there.
         low = np.minimum(self._range[:, 0], qpos[which, 7:])
         high = np.maximum(self._range[:, 1], qpos[which, 7:])
         qpos[which, 7:] = np.clip(qpos[which, 7:] + error, low, high)
 
     def seed(self, seeds: Seeds) -> None:
-        """Begin the streams of numbers anew."""
+        """Seed the random streams."""
         self._random.seed(seeds)
 
     def get_state(self) -> Any:
-        """Where the stream of numbers stands."""
+        """State of the random streams."""
         return self._random.get_state()
 
     def set_state(self, state: Any) -> None:
-        """Take up what ``get_state`` gave."""
+        """Restore the result of ``get_state``."""
         self._random.set_state(state)
 
 

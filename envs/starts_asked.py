@@ -1,4 +1,4 @@
-"""Where a caller asks episodes to begin: the options of ``reset``, checked."""
+"""Validation of the options and seeds of ``reset``."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ def _whole(value: Any) -> bool:
 def asked_start(
     reference: Reference, options: Any, where: str = "options"
 ) -> tuple[int, int] | None:
-    """Clip and first frame that options of one episode ask for, None if they leave it to chance.
+    """Clip and first frame that the options of one episode ask for; None if they are random.
 
     Args:
         reference: the clips.
-        options: a mapping with ``clip``, a name or an index, and ``frame``, 0 by default, which
-            wants a clip unless there is one alone; or None.
-        where: they come from, for the error.
+        options: None, or a mapping with ``clip`` (a name or an index) and ``frame`` (default 0).
+            ``frame`` requires ``clip`` unless there is only one clip.
+        where: source of the options, for error messages.
 
     Raises:
-        InputError: an unknown option, no such clip, or no such frame in it.
+        InputError: an unknown option, clip or frame.
     """
     if options is None:
         return None
@@ -74,11 +74,11 @@ def split_options(options: Any, count: int) -> list[dict[str, Any] | None]:
 
     Args:
         options: a mapping whose values are for all, or sequences with one entry for each
-            simulation, where None leaves it to chance; ``reset_mask`` is left out.
-        count: simulations.
+            simulation; None means random. ``reset_mask`` is ignored.
+        count: number of simulations.
 
     Raises:
-        InputError: a sequence of another length.
+        InputError: a sequence of the wrong length.
     """
     if options is None:
         return [None] * count
@@ -103,10 +103,10 @@ def split_options(options: Any, count: int) -> list[dict[str, Any] | None]:
 
 
 def reset_mask(options: Any, count: int) -> np.ndarray:
-    """``(count,)`` bool, which simulations ``options["reset_mask"]`` begins; all without one.
+    """``(count,)`` bool, the simulations that ``options["reset_mask"]`` selects; default: all.
 
     Raises:
-        InputError: not an array of so many bools, or of no simulation.
+        InputError: not an array of ``count`` bools, or no simulation is selected.
     """
     if not isinstance(options, dict) or "reset_mask" not in options:
         return np.ones(count, bool)
@@ -120,10 +120,10 @@ def reset_mask(options: Any, count: int) -> np.ndarray:
 
 
 def seeds_of(seed: Any, count: int) -> list[int | None]:
-    """A seed for each simulation: ``seed + i`` of one, as in gymnasium, or those of a sequence.
+    """A seed for each simulation: ``seed + i`` for one seed, as in gymnasium, or a sequence.
 
     Raises:
-        InputError: another number of seeds, or one that is not a whole number from 0 on.
+        InputError: the wrong number of seeds, or one that is not a whole number from 0 on.
     """
     if seed is None:
         return [None] * count
@@ -142,5 +142,5 @@ def seeds_of(seed: Any, count: int) -> list[int | None]:
 
 
 def entropy() -> int:
-    """A seed that no other process has, of 63 bits."""
+    """A random 63-bit seed of the operating system."""
     return int(np.random.SeedSequence().generate_state(1, np.uint64)[0] >> np.uint64(1))

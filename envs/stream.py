@@ -1,7 +1,7 @@
-"""One avatar that follows a stream: its user's devices or poses arrive frame by frame.
+"""One avatar that follows a stream: device or full-body poses arrive frame by frame.
 
-``BatchSim`` reads whole clips. Here the rows of its reference are a window that moves on by one
-frame before each step, so that time and memory stay constant however long a stream is.
+``BatchSim`` reads whole clips. Here the rows of its reference are a window that advances by one
+frame before each step. Time per step and memory are constant, however long the stream is.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from questsim.skeleton import NUM_DOFS
 NOW = 2
 """Row of the window that is the avatar's present."""
 AHEAD = 6
-"""Rows after it: as far as any agent looks ahead."""
+"""Rows after the present: the longest look-ahead of any agent."""
 _ROWS = NOW + AHEAD + 1
 _POSITIONS, _VELOCITIES = 7 + NUM_DOFS, 6 + NUM_DOFS
 
 
 class StreamSim(BatchSim):
-    """One avatar, one user, and a window of what the user did and is about to do.
+    """One avatar, one user, and a window of the user's past and future frames.
 
-    Coordinates are those of the world, but heights of devices and poses are over the user's own
-    level floor: a terrain lifts the avatar, not them.
+    Coordinates are those of the world, but heights of devices and poses are above the user's own
+    level floor: a terrain lifts only the avatar.
 
     Args:
-        config: what the agent needs; ``heights`` and ``fixed_start`` are set here.
+        config: config of the agent; ``heights`` and ``fixed_start`` are overwritten.
         height_m: the avatar's stature.
     """
 
@@ -51,14 +51,14 @@ class StreamSim(BatchSim):
         return float(self.heights[0])
 
     def put(self, qpos: np.ndarray, velocity: np.ndarray | None = None) -> None:
-        """Put the avatar into a pose over level ground, lifted by the terrain there.
+        """Set the avatar's pose, given above level ground; the terrain lifts it.
 
         Args:
             qpos: ``(40,)``.
             velocity: ``(3,)`` of the whole body in m/s; at rest if None.
         """
         self.reset()
-        # The user's space is the world: a clip's place on the terrain would move it.
+        # The user's coordinates are the world's, so the clip is not moved to a place.
         self.placement.place[:] = 0.0, 0.0, 1.0, 0.0
         self.qpos[0, :_POSITIONS] = qpos
         self.qvel[0, :_VELOCITIES] = 0.0
@@ -71,12 +71,12 @@ class StreamSim(BatchSim):
         self.look()
 
     def show_devices(self, position: np.ndarray, quat: np.ndarray, fill: bool = False) -> None:
-        """Move the window on by one frame and write the newest poses of the devices.
+        """Advance the window by one frame and write the newest poses of the devices.
 
         Args:
             position: ``(D, 3)`` metres, of ``device_names``.
             quat: ``(D, 4)``.
-            fill: write them to the whole window instead: a stream begins.
+            fill: write them to the whole window, at the beginning of a stream.
         """
         reference = self.reference
         for rows, newest in (
@@ -90,7 +90,7 @@ class StreamSim(BatchSim):
                 rows[self.newest_row :] = newest
 
     def shown_devices(self) -> tuple[np.ndarray, np.ndarray]:
-        """What the devices report of the avatar's present: ``(D, 3)`` in the world, ``(D, 4)``."""
+        """Device poses of the avatar's present frame: ``(D, 3)`` in the world, ``(D, 4)``."""
         position = self.reference.dev_position[NOW].astype(float) * (
             self.height_m / DEFAULT_HEIGHT_M
         )
@@ -100,13 +100,13 @@ class StreamSim(BatchSim):
     def show_pose(
         self, clip: Clip, row: int, torque: np.ndarray | None, fill: bool = False
     ) -> None:
-        """Move the window on by one frame and write the newest full-body pose of the user.
+        """Advance the window by one frame and write the newest full-body pose of the user.
 
         Args:
-            clip: of any stature, on level ground; only one row of it is read.
-            row: which.
-            torque: ``(33,)`` what the frame before it takes, as shares of the joints' limits.
-            fill: write it to the whole window instead, at rest: a stream begins.
+            clip: a clip of any stature, on level ground; only one row is read.
+            row: the row to read.
+            torque: ``(33,)`` torques of the frame before it, as shares of the joints' limits.
+            fill: write it to the whole window, at rest, at the beginning of a stream.
         """
         ratio, reference = clip.height_m / DEFAULT_HEIGHT_M, self.reference
         scale_root = np.ones(_POSITIONS)

@@ -1,4 +1,4 @@
-"""What surrounds the avatars of a batch: ground, pushes, objects, and imperfect devices."""
+"""Surroundings of the avatars of a batch: ground, pushes, objects, and device errors."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from questsim.skeleton import NUM_DOFS
 
 
 class Surroundings:
-    """Everything beside body and clip that differs between episodes.
+    """Everything that differs between episodes, except body and clip.
 
     Args:
         config: options of the task.
         reference: the clips.
         ratio: ``(n,)`` height of each simulation's body over 1.75 m.
         batch: of models with the config's objects.
-        seed: of all that is drawn.
+        seed: random seed.
 
     Attributes:
         placement: where each clip is played on the terrain; its ``field`` is the ground.
         pusher: forces on the avatars.
         objects: poses of the objects, and the avatar's force on each.
-        signals: how late and how silent the devices are.
-        starts: how episodes begin.
+        signals: latency and dropout of each device.
+        starts: initial states of episodes.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class Surroundings:
         )
 
     def begin(self, ids: np.ndarray, rows: np.ndarray, clips: np.ndarray) -> None:
-        """Episodes ``ids`` begin at ``rows`` of ``clips``, at places that were drawn before."""
+        """Begin episodes ``ids`` at ``rows`` of ``clips``; their places are already drawn."""
         self.pusher.begin(ids, clips)
         self.objects.place(ids, rows, clips, self._reference, self.placement, self._ratio)
         self.signals.begin(ids)
@@ -83,16 +83,16 @@ class Surroundings:
         }
 
     def seed(self, seeds: Seeds) -> None:
-        """Begin the streams of places, pushes, objects, starts and silent devices anew."""
+        """Seed the random streams of places, pushes, objects, starts and dropouts."""
         for part in self._parts().values():
             part.seed(seeds)
 
     def get_state(self) -> dict[str, Any]:
-        """What the coming episodes depend on."""
+        """State that determines later episodes."""
         return {name: part.get_state() for name, part in self._parts().items()}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Take up what ``get_state`` gave."""
+        """Restore the result of ``get_state``."""
         for name, part in self._parts().items():
             if name in state:  # earlier versions had no starts
                 part.set_state(state[name])

@@ -1,4 +1,4 @@
-"""Ground to walk on: options, names, and the seeded generator of height fields."""
+"""Terrain: options, names, and the seeded generator of height fields."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from questsim.heightfield import HeightField
 COURSE = "course"
 DIRECTIONS = ("any", "up", "down", "across")
 MARGIN_M = 1.5
-"""Clips keep this far from the edge."""
+"""Least distance of clips from the edge."""
 _FINE_M, _SLOPE_CELL_M, _COURSE_CELL_M = 0.1, 1.0, 0.25
 _SEAM_M = 1.0
-"""Tiles of a course sink to the floor over this distance at their edges."""
+"""Width of the edge over which a course's tile sinks to the floor."""
 
 RANGES: dict[str, tuple[float, float]] = {
     "amplitude_m": (0.0, 0.5),
@@ -42,28 +42,28 @@ RANGES: dict[str, tuple[float, float]] = {
 
 @dataclass(frozen=True)
 class Terrain:
-    """What the ground is like; ``None`` instead of one is a plane.
+    """Options of the ground; ``None`` in place of a terrain means a plane.
 
     Attributes:
         kind: ``"flat"``, ``"rough"``, ``"waves"``, ``"slope"``, ``"stairs"``
             (flights up and down along x), ``"steps"`` (blocks a step apart), ``"gaps"`` (ditches
             across x), or ``"course"``: tiles of several kinds, one column each, harder from row
             to row.
-        amplitude_m: rough ground and waves lie within ± this.
-        wavelength_m: of rough ground and waves.
+        amplitude_m: rough ground and waves lie within ± this height.
+        wavelength_m: wavelength of rough ground and waves.
         slope_deg: steepness.
-        step_height_m, step_depth_m: of stairs; the height also of steps.
+        step_height_m, step_depth_m: size of stairs; steps use the height only.
         gap_m, gap_depth_m: width and depth of gaps.
-        direction: how clips travel: ``"up"`` along x (over stairs and gaps), ``"down"`` against it,
-            ``"across"`` along y, or ``"any"``, which is drawn for each episode.
+        direction: travel of clips: ``"up"`` along x (over stairs and gaps), ``"down"`` against it,
+            ``"across"`` along y, or ``"any"``, drawn for each episode.
         difficulty: factor on amplitude, steepness, step height and gap width.
-        tiles: kinds of a course's columns, with options if wanted: ``"rough:amplitude_m=0.08"``.
+        tiles: kinds of a course's columns, optionally with options: ``"rough:amplitude_m=0.08"``.
         levels: rows of a course; row ``i`` has ``(i + 1) / levels`` of the difficulty.
-        tile_m: edge of a course's tiles.
-        spread_m: how far from the middle of its tile, along x and along y, a clip may be played.
+        tile_m: edge length of a course's tiles.
+        spread_m: greatest distance of a clip from the centre of its tile, along x and along y.
         flat_share: share of episodes on level floor beside the course's tiles.
-        size_m: edge of the ground, of every kind but a course.
-        seed: of its random numbers; same seed, same bits.
+        size_m: edge length of the ground; not used by a course.
+        seed: random seed; same seed, same bits.
 
     Raises:
         InputError: an unknown kind or direction, or a number out of its range.
@@ -89,7 +89,7 @@ class Terrain:
 
     def __post_init__(self) -> None:
         for what, value, known in (
-            # Looked up now, not once: who adds a shape has a kind.
+            # Looked up here, since extensions may add shapes later.
             ("kind", self.kind, (*SHAPES, COURSE)),
             ("direction", self.direction, DIRECTIONS),
             *(("tile", tile.partition(":")[0], tuple(SHAPES)) for tile in self.tiles),
@@ -113,7 +113,7 @@ class Terrain:
 
     @property
     def scaled(self) -> Terrain:
-        """The same at difficulty 1: with the amplitude, steepness, steps and gaps that it has."""
+        """The same terrain at difficulty 1, with amplitude, steepness, steps and gaps scaled."""
         by = self.difficulty
         return replace(
             self,
@@ -126,7 +126,7 @@ class Terrain:
 
     @property
     def cell_m(self) -> float:
-        """Distance of grid points: as coarse as the shape allows, since small cells are slow."""
+        """Spacing of the grid: as coarse as the shape allows, because small cells are slow."""
         if self.kind == COURSE:
             finest = min(_COURSE_CELL_M, *(terrain_named(tile).cell_m for tile in self.tiles))
             return self.tile_m / round(self.tile_m / finest)
@@ -140,9 +140,9 @@ class Terrain:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Kinds of a course's columns along x, the level ones that ``flat_share`` asks for first.
+        """Kinds of a course's columns along x; with ``flat_share`` level columns come first.
 
-        There are two, so that a clip in the first stays away from the tiles.
+        There are two level columns, so that a clip in the first stays away from the tiles.
         """
         return ("flat", "flat", *self.tiles) if self.flat_share > 0.0 else self.tiles
 
@@ -159,14 +159,14 @@ TERRAINS: dict[str, Terrain] = {
 
 
 def terrain_named(text: str, where: str = "terrain") -> Terrain:
-    """The terrain of a name, with options changed if some follow.
+    """Parse a terrain: a name, optionally followed by options.
 
     Args:
         text: e.g. ``"rough"`` or ``"rough:amplitude_m=0.08,seed=3"``.
-        where: for messages.
+        where: source of the text, for error messages.
 
     Raises:
-        InputError: there is no such terrain or option, or a value is out of range.
+        InputError: an unknown terrain or option, or a value out of range.
     """
     name, _, options = text.partition(":")
     if name not in TERRAINS:
@@ -185,7 +185,7 @@ def terrain_named(text: str, where: str = "terrain") -> Terrain:
     return replace(TERRAINS[name], **changes)
 
 
-# Down here because its tiles are terrains with options: the worlds table's, and milder ones.
+# Defined after parsing, because its tiles are terrains with options.
 TERRAINS["mixed"] = Terrain(
     COURSE,
     tiles=("rough:amplitude_m=0.08", "rough:amplitude_m=0.08", "slope:slope_deg=8"),
@@ -199,12 +199,13 @@ def register_terrain(kind: str, shape: Shape, **options: Any) -> None:
     """Add a kind of ground, e.g. from a module that ``QUESTSIM_EXTENSIONS`` names.
 
     Args:
-        kind: what command lines call it.
-        shape: of ``(terrain, x, y, rng)``, heights in metres; see ``terrain_kinds``.
-        **options: of ``Terrain`` that are its defaults.
+        kind: its name on command lines.
+        shape: function of ``(terrain, x, y, rng)`` that returns heights in metres; see
+            ``terrain_kinds``.
+        **options: default values of ``Terrain`` fields.
 
     Raises:
-        InputError: the name is taken or has a comma or colon, or an option cannot be used.
+        InputError: the name is taken or has a comma or colon, or an option is invalid.
     """
     if kind in TERRAINS and not (kind in SHAPES and same_source(SHAPES[kind], shape)):
         raise InputError(f"there is a terrain {kind!r} already", "register_terrain", "rename it")
@@ -217,7 +218,7 @@ def register_terrain(kind: str, shape: Shape, **options: Any) -> None:
 
 @lru_cache(maxsize=32)
 def height_field(terrain: Terrain) -> HeightField:
-    """The ground itself; made once for each terrain, do not write to it."""
+    """The height field of a terrain; cached, do not write to it."""
     if terrain.kind == COURSE:
         return _course(terrain)
     cell = terrain.cell_m
@@ -231,20 +232,20 @@ def height_field(terrain: Terrain) -> HeightField:
 def _shape(
     terrain: Terrain, x: np.ndarray, y: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Heights, and the same with gaps cut in, if it has any."""
+    """Heights, and the heights with gaps cut in, if there are any."""
     height = SHAPES[terrain.kind](terrain, x, y, rng)
     return (np.zeros_like(height), height) if terrain.kind == "gaps" else (height, None)
 
 
 def tile_centre(terrain: Terrain, column: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """Middle of a course's tiles ``(..., 2)`` in metres."""
+    """Centres of a course's tiles ``(..., 2)`` in metres."""
     across = (len(terrain.columns) - 1) / 2.0
     along = (terrain.levels - 1) / 2.0
     return terrain.tile_m * np.stack([column - across, level - along], axis=-1)
 
 
 def _course(terrain: Terrain) -> HeightField:
-    """Tiles of every kind and level, which meet at the height of the floor, and floor around."""
+    """Tiles of every kind and level, surrounded by floor; tiles meet at floor height."""
     cell, tile = terrain.cell_m, terrain.tile_m
     inner = np.linspace(-0.5 * tile, 0.5 * tile, round(tile / cell) + 1)
     x, y = np.meshgrid(inner, inner)
@@ -278,7 +279,7 @@ def _tile(
     terrain = terrain_named(kind)
     terrain = replace(terrain, difficulty=terrain.difficulty * difficulty).scaled
     if terrain.kind in ("slope", "stairs"):
-        # From the edge up to the middle, whichever way one comes.
+        # The slope rises from the edge to the middle, from both sides.
         inward = 0.5 * (x.max() - x.min()) - np.maximum(abs(x), abs(y)) - _SEAM_M
         most = 0.5 * (x.max() - x.min()) - _SEAM_M - 1.0
         inward = np.clip(inward, 0.0, most)

@@ -1,4 +1,4 @@
-"""Shapes of ground: pure functions from places to heights.
+"""Shapes of ground: pure functions from positions to heights.
 
 Each takes grids ``x`` and ``y`` in metres, the terrain's options and random numbers, and
 returns heights in metres of the same shape, zero on average or at their edge.
@@ -30,7 +30,7 @@ def flat(terrain: Terrain, x: np.ndarray, y: np.ndarray, rng: np.random.Generato
 
 
 def rough(terrain: Terrain, x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Heights drawn evenly from ± amplitude every half wavelength, joined by straight lines."""
+    """Uniform random heights within ± amplitude every half wavelength, linearly interpolated."""
     spacing = 0.5 * terrain.wavelength_m
     return terrain.amplitude_m * _lattice(x, y, spacing, 1, rng)
 
@@ -86,7 +86,7 @@ SHAPES: dict[str, Shape] = {
 def _lattice(
     x: np.ndarray, y: np.ndarray, spacing: float, order: int, rng: np.random.Generator
 ) -> np.ndarray:
-    """Even random numbers in [-1, 1] on a square lattice, interpolated."""
+    """Uniform random numbers in [-1, 1] on a square lattice, interpolated."""
     column, row = (x - x.min()) / spacing, (y - y.min()) / spacing
     shape = (int(np.ceil(row.max())) + 2, int(np.ceil(column.max())) + 2)
     values = rng.uniform(-1.0, 1.0, shape)

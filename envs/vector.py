@@ -1,4 +1,4 @@
-"""gymnasium's face of many avatars, without a loop over them."""
+"""The gymnasium vector environment of many avatars, without a Python loop over them."""
 
 from __future__ import annotations
 
@@ -25,19 +25,20 @@ from questsim.motion.clip import FPS
 class QuestVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray], EzPickle):
     """Many avatars as a gymnasium vector environment.
 
-    ``infos`` hold what ``QuestEnv``'s do, as arrays ``(n, ...)``, and with an underscore before
-    the name who has them. What happens to an ended episode is up to ``autoreset_mode``:
+    ``infos`` hold the keys of ``QuestEnv`` as arrays ``(n, ...)``, each with a mask under its name
+    with a leading underscore. ``autoreset_mode`` decides when an ended episode is replaced:
 
-    - ``NEXT_STEP``, gymnasium's default: the next step begins a new one there and ignores its
-      action; reward 0.
-    - ``SAME_STEP``: the same step does; ``final_obs`` and ``final_info`` are those of the old.
-    - ``DISABLED``: nothing; ``reset(options={"reset_mask": ended})`` does, before the next step.
+    - ``NEXT_STEP``, gymnasium's default: the next step begins a new episode; it ignores the action
+      of that environment and returns reward 0.
+    - ``SAME_STEP``: the same step begins a new episode; ``final_obs`` and ``final_info`` belong to
+      the old one.
+    - ``DISABLED``: call ``reset(options={"reset_mask": ended})`` before the next step.
 
     Args:
         num_envs: simulations.
         motions, config, shown, **options: as of ``QuestEnv``.
-        seed: of all that is drawn; with None each environment draws other episodes until a reset
-            gives a seed.
+        seed: random seed; with None each environment draws different episodes until a reset gives
+            a seed.
         num_threads: of physics; results do not depend on it.
         render_mode: ``"rgb_array"`` or None.
         autoreset_mode: one of gymnasium's ``AutoresetMode``, or its name.
@@ -93,11 +94,11 @@ class QuestVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray], EzPickle):
 
         Args:
             seed: environment ``i`` gets ``seed + i``, or the i-th of a sequence.
-            options: ``clip`` and ``frame`` of all, or sequences with one for each; ``reset_mask``
-                ``(n,)`` bool, where to begin one.
+            options: ``clip`` and ``frame`` for all, or sequences with one for each; ``reset_mask``
+                ``(n,)`` bool selects the simulations to reset.
 
         Raises:
-            InputError: seeds or options that cannot be used; all episodes go on then.
+            InputError: seeds or options that cannot be used; all episodes then continue.
         """
         n = self.num_envs
         seeds, mask = seeds_of(seed, n), reset_mask(options, n)

@@ -14,7 +14,7 @@ from questsim.body import Body, build_body, let_links_collide, scaled_spec
 
 _SOLE = "sole"
 _GROUND = 2
-"""The bit of what touches ground that is not a plane."""
+"""Contact bit of geoms that collide with ground that is not a plane."""
 
 
 def build_world(
@@ -56,16 +56,16 @@ def _build(
     add_objects(spec, objects, height_m)
     if terrain is not None:
         _stand_on_points(spec)
-    # Limits and damping are the avatar's, whatever is around it.
+    # Torque limits and damping of the avatar alone, independent of its surroundings.
     return replace(build_body(height_m, preset, self_collision), model=spec.compile())
 
 
 def _stand_on_points(spec: mujoco.MjSpec) -> None:
-    """Let spheres along the soles' capsules touch the ground in their stead.
+    """Replace the soles' capsules by spheres for contacts with the ground.
 
-    A capsule that lies on a plane touches it at both ends. On a triangle of a height field MuJoCo
-    finds one point of it, somewhere along it: feet rock, sink in by centimetres and creep
-    downhill. Spheres give the points that a plane gives, and one between for ridges.
+    A capsule on a plane has a contact at each end. On a triangle of a height field MuJoCo finds
+    only one contact, anywhere along the capsule: feet rock, sink in by centimetres and creep
+    downhill. Spheres at the two ends, and one between them for ridges, avoid this.
     """
     for geom in list(spec.geoms):
         if geom.classname.name == _SOLE:
