@@ -1,6 +1,6 @@
-"""Following clips and scoring how well it went.
+"""Run agents on clips and score them.
 
-Public names are imported when they are first used, so that a submodule is imported alone.
+Public names are imported on first use, so that importing a submodule loads nothing else.
 """
 
 from importlib import import_module

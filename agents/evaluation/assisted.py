@@ -1,4 +1,4 @@
-"""An evaluation in which a bounded force may help the avatars: ``evaluate.py --assist 100``."""
+"""Evaluation with a bounded assisting force on the avatars: ``evaluate.py --assist 100``."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from questsim.body import DEFAULT_HEIGHT_M
 
 
 class AssistUse:
-    """Helps the avatars of one batch after another, and keeps account of it.
+    """Applies the assisting force in each batch and records how much of it was used.
 
     Args:
-        bound_n: greatest force in N.
+        bound_n: largest force in N.
 
     Raises:
-        InputError: it is out of range.
+        InputError: ``bound_n`` is out of range.
     """
 
     def __init__(self, bound_n: float) -> None:
@@ -29,14 +29,14 @@ class AssistUse:
         self._clips, self._used_clips = 0, 0
 
     def begin(self, sim: BatchSim) -> None:
-        """A batch begins; call after its ``reset``."""
+        """Start a batch; call after its ``reset``."""
         self._sim, self._assist = sim, Assist(sim, self.bound_n)
         self._assist.reset()
         self._helped = np.zeros(sim.num_envs, bool)
         self._clips += sim.num_envs
 
     def apply(self, active: np.ndarray) -> None:
-        """Set the forces of the coming step; ``active`` ``(C,)`` says which avatars count."""
+        """Set the forces of the next step; ``active`` ``(C,)`` bool: avatars that count."""
         self._assist.apply(*user_headsets(self._sim))
         force = np.linalg.norm(self._assist.force, axis=-1)[active]
         used = force > 0.0
@@ -50,7 +50,7 @@ class AssistUse:
         self._helped |= helped
 
     def figures(self) -> dict[str, Any]:
-        """What the evaluation used: percent of time and of clips, mean force while in use."""
+        """Use of the assist: percent of time, percent of clips, mean force while in use."""
         return {
             "bound_n": self.bound_n,
             "time_percent": 100.0 * self._used_steps / max(self._steps, 1),
@@ -71,7 +71,7 @@ class AssistUse:
 
 
 def user_headsets(sim: BatchSim) -> tuple[np.ndarray, np.ndarray]:
-    """Where the users' headsets are at present ``(n, 3)``, ``(n, 4)``, in the world."""
+    """Present world pose of the users' headsets: positions ``(n, 3)``, quaternions ``(n, 4)``."""
     ratio, place = sim.heights / DEFAULT_HEIGHT_M, sim.placement.place
     position = moved(place, sim.reference.dev_position[sim.frame, 0] * ratio[:, None])
     position[:, 2] += sim.floor

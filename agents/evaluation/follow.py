@@ -1,4 +1,4 @@
-"""Letting an agent follow clips from their first frame to the last, all at once."""
+"""Run an agent on a batch of clips, each from its first frame to its last."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ T = TypeVar("T", Clip, Motion)
 
 @dataclass(frozen=True)
 class Followed:
-    """How each of ``C`` clips went.
+    """Results of ``C`` clips.
 
     Attributes:
         frames: ``(C,)`` steps until the fall or the end.
         fell: ``(C,)`` bool.
-        total_reward: ``(C,)`` sum of rewards until then.
-        length: ``(C,)`` steps the clip has.
+        total_reward: ``(C,)`` sum of rewards over ``frames``.
+        length: ``(C,)`` steps in the clip.
         kinds: kind of motion of each clip.
-        mean_error_m: ``(C,)`` mean link error until then in metres.
-        seconds: wall time of all.
+        mean_error_m: ``(C,)`` mean link error over ``frames`` in metres.
+        seconds: wall time of the whole batch.
     """
 
     frames: np.ndarray
@@ -48,12 +48,12 @@ class Followed:
 
     @property
     def score(self) -> float:
-        """Mean reward a frame of reference, zero after a fall: survival and accuracy in one."""
+        """Mean reward per reference frame, zero after a fall: combines survival and accuracy."""
         return float((self.total_reward / self.length).mean())
 
     @property
     def error_cm(self) -> float:
-        """Mean link error in cm over all frames until the falls."""
+        """Mean link error in cm over all frames before the falls."""
         return float(100.0 * (self.mean_error_m * self.frames).sum() / self.frames.sum())
 
 
@@ -64,14 +64,14 @@ def evaluation_sim(
     seed: int = 0,
     shown: Sequence[Clip] | None = None,
 ) -> BatchSim:
-    """One simulation a clip, each starting at its clip's first frame.
+    """One simulation per clip, each starting at its clip's first frame.
 
     Args:
-        clips: what to follow.
+        clips: the references.
         config: with ``fixed_start``.
-        threads: of the physics.
-        seed: of the devices' noise, if any.
-        shown: what the agent sees in place of the clips, see ``BatchSim``.
+        threads: physics threads.
+        seed: seed of the device noise, if any.
+        shown: clips that the agent observes instead of ``clips``, see ``BatchSim``.
     """
     return BatchSim(clips, config, len(clips), seed, threads, shown)
 
@@ -88,10 +88,10 @@ def follow(
     Args:
         agent: bound to ``sim``.
         sim: from ``evaluation_sim``.
-        clips: the same as there.
-        record: called after reset and after each step with ``(C,)`` bool, which avatars were
-            still being followed in that step (so their state is to be kept).
-        assist: may help; None for honest physics.
+        clips: the clips of ``sim``.
+        record: called after reset and after each step with ``(C,)`` bool: avatars that had not
+            finished before that step, whose state is to be recorded.
+        assist: applies an assisting force; None for physics without one.
     """
     count = len(clips)
     length = np.array([len(clip) - 1 for clip in clips])
@@ -108,7 +108,7 @@ def follow(
         if assist is not None:
             assist.apply(active)
         sim.step(agent.act(sim.observation))
-        # What is not finite has no place in a sum, nor in a recording.
+        # Non-finite values are left out of sums and recordings.
         good = active & ~sim.unstable
         total[good] += sim.reward[good]
         error[good] += sim.error[good]
@@ -129,11 +129,11 @@ def follow(
 
 
 def choose_clips(clips: Sequence[T], count: int) -> list[T]:
-    """A fixed subset that has all kinds of motion in proportion.
+    """A fixed subset with all kinds of motion in proportion.
 
     Args:
-        clips: what there is, clips or motions.
-        count: how many to take at most.
+        clips: clips or motions to choose from.
+        count: largest size of the subset.
     """
     ordered = sorted(clips, key=lambda clip: (clip.kind, clip.style, clip.name))
     picks = np.unique(np.linspace(0, len(ordered) - 1, min(count, len(ordered))).astype(int))

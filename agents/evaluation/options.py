@@ -1,4 +1,4 @@
-"""Options of the evaluations of one agent, a dataclass a job."""
+"""Options of the evaluations of one agent: one dataclass per job."""
 
 from __future__ import annotations
 
@@ -13,43 +13,43 @@ Begin = Literal["reference", "still", "standing"]
 
 @dataclass(frozen=True)
 class EvaluateArgs:
-    """Let an agent follow clips from their first frame and score it."""
+    """Run an agent on clips from their first frame and score it."""
 
     agent: str = DEFAULT_POLICY
-    """A run, stage or checkpoint folder; the name of a shipped policy or kinematic system; ik, zero
-    or random; package.module:Class of your own; a kinematic system and +physics, e.g.
-    hmdposer+physics."""
+    """Agent: a run, stage or checkpoint folder; the name of a shipped policy or kinematic system;
+    ik, zero or random; your own package.module:Class; or a kinematic system followed by +physics,
+    e.g. hmdposer+physics."""
     motions: str = "synthetic"
     """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
     env: str | None = None
-    """Environment id (see questsim envs); by default what the agent needs."""
+    """Environment id (see questsim envs); by default the one the agent needs."""
     height: float | None = None
-    """Stature in metres to scale avatar and clips to; by default the motions' own."""
+    """Scale avatar and clips to this stature in metres; by default each motion's own."""
     avatar_height: float | None = None
-    """Stature in metres of the avatar, if it is not its user's: the devices are scaled to it."""
+    """Stature in metres of an avatar that differs from its user; device signals are scaled."""
     terrain: str | None = None
-    """Ground to walk on, e.g. rough or rough:amplitude_m=0.08, instead of the environment's."""
+    """Terrain, e.g. rough or rough:amplitude_m=0.08, instead of the environment's own."""
     objects: tuple[str, ...] = ()
     """Objects on the clips' paths: ball, box, hurdle, chair."""
     begin: Begin = "reference"
-    """How the avatar begins: in the user's own state; in the user's pose, at rest; or standing
-    upright, at rest, where the user is."""
+    """Initial state of the avatar: the user's pose and velocity; the user's pose, at rest; or
+    standing upright at the user's position, at rest."""
     noise: bool = False
-    """Devices as real ones are: 5 mm and 1 degree of noise, mounted up to 3 cm and 10 degrees off,
-    silent for up to half a second every few seconds."""
+    """Simulate real devices: noise of 5 mm and 1 degree, mounting errors up to 3 cm and 10 degrees,
+    dropouts of up to half a second every few seconds."""
     sensors: str | None = None
-    """The devices of a kinematic system, a set by name, e.g. H+2C or 6T; by default the first that
-    it is compared with."""
+    """Sensor set of a kinematic system by name, e.g. H+2C or 6T; by default the set of its first
+    comparison scenario."""
     assist: float = 0.0
-    """Greatest force in N that may help an avatar that is about to be lost; its use is reported."""
+    """Largest assisting force in N for an avatar about to fall or fall behind; use is reported."""
     out: Path | None = None
     """Folder for metrics.json, clips.csv and plots."""
     video: bool = False
-    """Also write a video of avatar beside reference."""
+    """Also write a video of the avatar beside the reference."""
     video_clips: tuple[str, ...] = ()
-    """Names of the clips that the video shows; by default four of different kinds."""
+    """Names of the clips in the video; by default four of different kinds."""
     save_motion: str | None = None
-    """Also write what the avatar did on each clip into OUT/motions: bvh, glb, npz or csv."""
+    """Also write the avatar's motion on each clip into OUT/motions, as bvh, glb, npz or csv."""
     max_clips: int | None = None
     """Follow only this many clips, of all kinds of motion."""
     threads: int = 2

@@ -1,4 +1,4 @@
-"""What an evaluation prints and writes: the table, the report, the video."""
+"""Output of an evaluation: the printed table, the report and the video."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from questsim.motion.motion import Motion
 
 T = TypeVar("T", Clip, Motion, Rollout)
 FILMED_CLIPS = 4
-"""Clips in a video where none are named."""
+"""Number of clips in a video if none are named."""
 
 
 def evaluation_context(
@@ -34,15 +34,15 @@ def evaluation_context(
     config: EnvConfig | dict[str, Any],
     threads: int,
 ) -> dict[str, Any]:
-    """What was evaluated, for the report.
+    """The report's record of the evaluated agent, motions and configuration.
 
     Args:
-        name: of the agent, as it was given.
-        agent: itself; None for a kinematic system.
-        motions: the motion argument of ``clips``.
-        clips: what was followed.
-        config: where, or by which devices.
-        threads: of physics and networks.
+        name: the agent's name as given on the command line.
+        agent: the agent; None for a kinematic system.
+        motions: the ``--motions`` argument that ``clips`` come from.
+        clips: the clips that were followed.
+        config: the environment, or the devices of a kinematic system.
+        threads: threads of physics and networks.
     """
     return {
         "agent": name,
@@ -55,7 +55,7 @@ def evaluation_context(
 
 
 def report(args: EvaluateArgs, rollouts: list[Rollout], context: dict[str, Any]) -> int:
-    """Print the table of an evaluation and write what ``args`` ask for; returns the exit code."""
+    """Print the table and write the files that ``args`` request; returns the exit code."""
     if args.out is None:
         print(format_table(evaluate(rollouts)))
         return 0
@@ -73,8 +73,8 @@ def report(args: EvaluateArgs, rollouts: list[Rollout], context: dict[str, Any])
 
 
 def save_motions(rollouts: Sequence[Rollout], folder: Path, kind: str) -> None:
-    """Write what the avatar did as files of a format of ``questsim.exporting``."""
-    # Not at the top: other evaluations do not need what writes these files.
+    """Write the avatar's motions in a file format of ``questsim.exporting``."""
+    # Imported here: other evaluations do not need the file writers.
     from questsim.exporting import file_names, write_clip
 
     folder.mkdir(exist_ok=True)
@@ -85,7 +85,7 @@ def save_motions(rollouts: Sequence[Rollout], folder: Path, kind: str) -> None:
 
 
 def performed(rollout: Rollout) -> Clip:
-    """What the avatar did as a clip."""
+    """The avatar's motion as a clip."""
     root = (rollout.link_position[:, 0], rollout.link_quat[:, 0])
     qpos = np.concatenate([*root, rollout.joint_angles], axis=-1)
     about = {"kind": rollout.kind, "style": rollout.style, "licence": rollout.reference.licence}
@@ -93,10 +93,10 @@ def performed(rollout: Rollout) -> Clip:
 
 
 def filmed(args: EvaluateArgs, clips: list[T]) -> list[T]:
-    """Those that ``--video-clips`` names, or all to choose from.
+    """The rollouts named by ``--video-clips``; without names, all of them.
 
     Raises:
-        InputError: there is none of a name.
+        InputError: no clip has one of the names.
     """
     if not args.video_clips:
         return clips
@@ -106,7 +106,7 @@ def filmed(args: EvaluateArgs, clips: list[T]) -> list[T]:
 
 
 def _film(rollouts: list[Rollout], path: Path, terrain: Any, count: int) -> None:
-    """Write the video, or say in one line why there is none."""
+    """Write the video, or print one line saying why it could not be written."""
     from questsim.viewing.films import rollout_video
     from questsim.viewing.gl import NoGLError
 

@@ -1,4 +1,4 @@
-"""What an agent does on clips: the environment it needs, and a recording of every frame."""
+"""Run an agent on clips in the environment it needs, and record every frame."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from questsim.objects import ObjectTrack
 from questsim.skeleton import NUM_DOFS, NUM_LINKS
 
 BATCH_CLIPS = 320
-"""At most this many clips are simulated at once: recordings of more would fill the memory."""
+"""Largest number of clips simulated at once; recordings of more would fill the memory."""
 
 
 def env_config(agent: Agent, env_id: str | None = None, height_m: float | None = None) -> EnvConfig:
-    """The environment that an agent needs, from an id if one is given.
+    """Configuration of the environment that an agent needs, or of ``env_id`` if given.
 
     Args:
-        agent: says which sensors, future frames and body it was made for.
+        agent: its ``needs`` give sensors, future frames and body.
         env_id: a registered environment; its options replace the agent's.
         height_m: stature of all avatars.
 
     Raises:
-        InputError: there is no such id, or its options do not suit.
+        InputError: no such id, or its options do not fit the agent.
     """
     options: dict[str, Any] = {
         "sensors": agent.needs.sensors,
@@ -59,23 +59,23 @@ def roll_out(
     shown: Sequence[Clip] | None = None,
     assist: AssistUse | None = None,
 ) -> list[Rollout]:
-    """Let an agent follow clips, in as few batches as the memory allows.
+    """Run an agent on clips, in as few batches as memory allows.
 
     Args:
-        agent: any.
-        clips: what to follow.
+        agent: any agent.
+        clips: the references.
         config: with ``fixed_start``.
-        threads: of the physics.
-        shown: what the agent sees in place of the clips, see ``BatchSim``.
-        assist: may help the avatars; None for honest physics.
+        threads: physics threads.
+        shown: clips that the agent observes instead of ``clips``, see ``BatchSim``.
+        assist: applies an assisting force; None for physics without one.
 
     Returns:
-        One rollout a clip, in their order.
+        One rollout per clip, in the order of ``clips``.
 
     Raises:
         InputError: a clip is shorter than the future window, or the agent does not fit.
     """
-    # Clips of similar length together: a batch takes as long as its longest.
+    # Batch clips of similar length: a batch takes as long as its longest clip.
     order = sorted(range(len(clips)), key=lambda i: len(clips[i]))
     rollouts: dict[int, Rollout] = {}
     for first in range(0, len(order), BATCH_CLIPS):
@@ -88,11 +88,11 @@ def roll_out(
 
 
 class Recorder:
-    """Keeps what metrics need of every step of a batch.
+    """Records every quantity that metrics need, at every step of a batch.
 
     Args:
-        sim: the simulation, one avatar a clip.
-        frames: of the longest clip.
+        sim: the simulation, one avatar per clip.
+        frames: number of frames of the longest clip.
     """
 
     def __init__(self, sim: BatchSim, frames: int) -> None:
@@ -108,7 +108,7 @@ class Recorder:
         self._at = 0
 
     def __call__(self, keep: np.ndarray) -> None:
-        """Take in the present state; ``keep`` ``(n,)`` says whose counts as a frame."""
+        """Record the present state of the avatars selected by ``keep`` ``(n,)`` bool."""
         sim, at = self._sim, self._at
         self.position[at] = sim.link_positions
         self.quat[at] = sim.link_quats
@@ -120,7 +120,7 @@ class Recorder:
         self._at += 1
 
     def objects_of(self, i: int) -> tuple[ObjectTrack, ...]:
-        """The objects beside avatar ``i`` in the frames that were kept."""
+        """The objects near avatar ``i`` in the recorded frames."""
         frames, objects = int(self.count[i]), self._sim.config.objects
         height = float(self._sim.heights[i])
         return tuple(

@@ -1,4 +1,4 @@
-"""How good the shipped policies are: every bar of the project in one table, by one command."""
+"""The scorecard: one command compares the shipped policies with every bar of the project."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class Trial:
     """One evaluation of the scorecard.
 
     Attributes:
-        suffix: of the agent's name: other sensors are other policies.
+        suffix: suffix of the agent's name; each sensor set has its own policy.
         height_m: stature that avatar and clips are scaled to; None for the clips' own.
-        says: what it is, for people.
+        says: label in the table.
     """
 
     suffix: str = ""
@@ -39,12 +39,12 @@ class Trial:
 
 @dataclass(frozen=True)
 class Bar:
-    """A figure, what it must reach, and what is hoped for.
+    """A metric with its minimum requirement (bar) and its target (goal).
 
     Attributes:
         trial: name in ``TRIALS``.
-        metric: key of the report; ``success`` is of all clips, the others of those completed.
-        bar, goal: in the metric's unit, success in percent.
+        metric: key of the report; ``success`` is over all clips, the others over completed clips.
+        bar, goal: in the metric's unit; success in percent.
     """
 
     trial: str
@@ -53,7 +53,7 @@ class Bar:
     goal: float
 
     def reached(self, value: float | None, limit: float) -> bool:
-        """Whether a figure is on the good side of a limit."""
+        """Whether a figure satisfies a limit."""
         if value is None:
             return False
         return value >= limit if self.metric == "success" else value <= limit
@@ -81,7 +81,7 @@ BARS: tuple[Bar, ...] = (
     Bar("short", "success", 90.0, 97.0),
     Bar("tall", "success", 90.0, 97.0),
 )
-"""What the project set itself to reach on bandai-namco-2:test; the goals are mostly QuestSim's."""
+"""Bars of the project on bandai-namco-2:test; most goals are QuestSim's figures."""
 
 
 def scorecard(
@@ -92,21 +92,21 @@ def scorecard(
     threads: int,
     seed: int = 0,
 ) -> dict[str, Any]:
-    """Evaluate a policy and its variants, and hold the figures against the bars.
+    """Evaluate a policy and its variants, and compare the figures with the bars.
 
     Args:
-        agent: name of a shipped policy, which others with the suffixes of ``TRIALS`` stand beside.
-        motions: what to follow; of a test split, the training split is followed too.
-        out: folder for ``scorecard.json`` and a report of each trial in a folder of its name.
+        agent: name of a shipped policy; its variants have the suffixes of ``TRIALS``.
+        motions: the motions to follow; for a test split, also evaluates the training split.
+        out: folder for ``scorecard.json`` and one subfolder per trial with its report.
         max_clips: follow only this many clips.
-        threads: of the physics.
-        seed: of the embedded motions.
+        threads: physics threads.
+        seed: seed of the embedded motions.
 
     Returns:
-        What ``scorecard.json`` holds.
+        The contents of ``scorecard.json``.
 
     Raises:
-        InputError: one of the policies or the motions is not there.
+        InputError: one of the policies or the motions is missing.
     """
     from questsim.motion.spec import load_motions
 
@@ -136,7 +136,7 @@ def scorecard(
 
 
 def _report(rollouts: list[Any], context: dict[str, Any], out: Path | None) -> dict[str, Any]:
-    """The figures of one trial, and its full report if there is a folder for it."""
+    """The figures of one trial; writes its full report if a folder is given."""
     from questsim.metrics import evaluate
 
     metrics = evaluate(rollouts) if out is None else write_report(rollouts, out, context)
@@ -159,16 +159,16 @@ def _rows(figures: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def figure(metrics: Mapping[str, Any], metric: str) -> float | None:
-    """A figure as the bars mean it: success of all clips in percent, others of the completed."""
+    """A figure as the bars define it: success over all clips in percent, others over completed."""
     value = metrics["all" if metric == "success" else "completed"][metric]
     return 100.0 * value if metric == "success" and value is not None else value
 
 
 def format_scorecard(card: Mapping[str, Any], width: int = 100) -> str:
-    """The scorecard as text for a terminal; after it, training clips beside test clips.
+    """The scorecard as text for a terminal, followed by training clips beside test clips.
 
     Args:
-        card: from ``scorecard``.
+        card: the result of ``scorecard``.
         width: columns of the terminal.
     """
     table = Table(title=f"{card['agent']} on {card['motions']}", title_justify="left")
@@ -191,7 +191,7 @@ def format_scorecard(card: Mapping[str, Any], width: int = 100) -> str:
 
 
 def _gap(trials: Mapping[str, Any]) -> Table:
-    """Training clips beside test clips: what is learnt by heart shows as a difference."""
+    """Training clips beside test clips; a large difference shows overfitting."""
     table = Table(title="Clips it learnt from and clips no stage saw", title_justify="left")
     for column in ("figure", "train", "test"):
         table.add_column(column, justify="left" if column == "figure" else "right")

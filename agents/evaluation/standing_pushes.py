@@ -1,4 +1,4 @@
-"""Rows of the worlds table for somebody who stands and is pushed, from every direction."""
+"""Rows of the worlds table: pushes from every direction on a standing avatar."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from questsim.motion.clip import FPS, Clip
 
 DIRECTIONS = 16
 NEAR_M = 0.10
-"""Mean link error that is allowed ..."""
+"""Largest mean link error in metres ..."""
 AFTER_S = 3.0
 """... this long after the push."""
 _BEGIN_S, _FOR_S = 1.0, 0.2
@@ -25,12 +25,12 @@ _NEVER_LOST_M = 1e6
 
 
 def standing_rows(agent: Agent, config: EnvConfig, threads: int = 1) -> list[dict[str, Any]]:
-    """Rows like those of ``worlds.run_worlds``, of the embedded standing clip.
+    """Rows in the format of ``worlds.run_worlds``, on the embedded standing clip.
 
     Args:
-        agent: any.
-        config: what it needs.
-        threads: of the physics.
+        agent: any agent.
+        config: the environment it needs.
+        threads: physics threads.
     """
     from questsim.motion.spec import load_motions
 
@@ -59,14 +59,14 @@ def standing_rows(agent: Agent, config: EnvConfig, threads: int = 1) -> list[dic
 def pushed(
     agent: Agent, clip: Clip, config: EnvConfig, force_n: float, threads: int = 1
 ) -> np.ndarray:
-    """Who is near the user again ``(16,)`` bool, pushed at the chest in as many directions.
+    """Push the chest in 16 directions; ``(16,)`` bool, whether the avatar recovered.
 
     Args:
-        agent: any.
-        clip: somebody who stands for long enough.
-        config: what the agent needs.
-        force_n: of the push.
-        threads: of the physics.
+        agent: any agent.
+        clip: a standing clip, long enough for push and recovery.
+        config: the environment that the agent needs.
+        force_n: push force in N.
+        threads: physics threads.
     """
     clips: Sequence[Clip] = [replace(clip, name=f"{clip.name}-{i}") for i in range(DIRECTIONS)]
     config = replace(config, fixed_start=True, max_error_m=_NEVER_LOST_M, pushes=None)

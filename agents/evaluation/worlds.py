@@ -1,7 +1,7 @@
-"""The worlds table: one agent, unchanged sensors, in worlds that its user does not have.
+"""The worlds table: one agent on terrain, under pushes and with objects that the user lacks.
 
-Avatars have the clips' own statures, but in the row about other heights: there clips, and so the
-devices, are scaled to the avatar, which makes the user's own height cancel out.
+Avatars have the statures of the clips. The row for other heights scales the clips, and so the
+device signals, to the avatar; the user's own height then cancels out.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from questsim.motion.clip import FPS, Clip
 
 SCHEMA, SCHEMA_VERSION = "questsim-worlds", 1
 UP_SHARE = 0.5
-"""Somebody is up whose pelvis is higher above the ground than this share of the reference's."""
+"""An avatar is up if its pelvis height is above this share of the reference's pelvis height."""
 BALL_MOVED_M = 0.1
 RECOVERY_S = 3.0
 _BATCH_CLIPS = 160
@@ -39,19 +39,19 @@ _NEVER_LOST_M = 1e6
 PUSH = Pushes(force_n=(100.0, 100.0), duration_s=(0.2, 0.2), pause_s=(1.0, 1.0), count=1)
 _PUSH_END_S = PUSH.pause_s[1] + PUSH.duration_s[1]
 BALL = WorldObject("ball", ahead_s=(1.5, 2.5), aside_m=(0.1, 0.1))
-"""A foot's breadth beside the middle of the path, where a foot comes by."""
+"""Its lateral offset is one foot's breadth from the middle of the path, where a foot passes."""
 
 
 @dataclass(frozen=True)
 class World:
-    """A row of the table: one or several settings, and the success that is asked for.
+    """A row of the table: one or several settings, and the required success.
 
     Attributes:
         name: key in ``worlds.json``.
         label: for the table.
-        bar: least success; None for a row to compare with.
-        settings: changes of the config by name; a row's success is over all clips of all of them.
-        walking: only clips of walking, instead of walking, turning, running and gestures.
+        bar: lowest success that passes; None for a row shown only for comparison.
+        settings: config changes by name; success is over all clips of all settings.
+        walking: use only walking clips, instead of walking, turning, running and gestures.
         success: ``"follow"``: mean link error within the config's limit to the clip's end;
             ``"up"``: still up ``RECOVERY_S`` after the push; ``"ball"``: the ball was moved and
             the avatar is up at the end.
@@ -110,7 +110,7 @@ SPEED_BAR = 0.6
 
 
 def group_of(kind: str) -> str | None:
-    """Walking, turning, running or gesture, or None for kinds that the table leaves out."""
+    """Walking, turning, running or gesture; None for kinds that the table does not use."""
     if "turn" in kind:
         return "turning"
     if kind in ("run", "jog"):
@@ -132,18 +132,18 @@ def run_worlds(
     """Run every row of the table.
 
     Args:
-        agent: any.
-        clips: of which those of walking, turning, running and gestures are used.
-        config: what the agent needs, with ``fixed_start``.
-        threads: of the physics.
-        max_clips: use this many clips at most in each setting, of all kinds.
-        seed: of places, directions and objects; the grounds' own seeds are fixed.
+        agent: any agent.
+        clips: only walking, turning, running and gesture clips are used.
+        config: the environment that the agent needs, with ``fixed_start``.
+        threads: physics threads.
+        max_clips: largest number of clips in each setting, of all kinds.
+        seed: seed of positions, directions and objects; terrain seeds are fixed.
 
     Returns:
         ``{"rows": [...], "speed": {...}}`` of plain numbers.
 
     Raises:
-        InputError: there is no clip of walking.
+        InputError: there is no walking clip.
     """
     grouped = [clip for clip in clips if group_of(clip.kind)]
     walking = [clip for clip in grouped if group_of(clip.kind) == "walking"]
@@ -196,7 +196,7 @@ def _good(
     threads: int,
     seed: int,
 ) -> np.ndarray:
-    """Which clips ``(C,)`` ended well, in batches as the memory allows."""
+    """Success of each clip ``(C,)`` bool, in batches as memory allows."""
     order = sorted(range(len(clips)), key=lambda i: len(clips[i]))
     good = np.zeros(len(clips), bool)
     if success != "follow":
@@ -221,7 +221,7 @@ def _good(
 
 
 class _Watch:
-    """Sees in every step of a batch who is up, and how far the ball has come."""
+    """Records in every step of a batch which avatars are up and how far the ball has moved."""
 
     def __init__(self, sim: BatchSim, clips: Sequence[Clip]) -> None:
         self._sim = sim
@@ -247,7 +247,7 @@ class _Watch:
                                          self.ball_moved_m)  # fmt: skip
 
     def up_at(self, frame: int | None) -> np.ndarray:
-        """Who is up at a frame ``(C,)``; None for the end of each clip."""
+        """Avatars that are up at a frame, ``(C,)`` bool; None for the end of each clip."""
         up = np.array(self._up)
         at = self._last if frame is None else np.minimum(frame, self._last)
         return up[at, np.arange(len(at))]
@@ -256,10 +256,10 @@ class _Watch:
 def terrain_speed(
     clips: Sequence[Clip], config: EnvConfig, threads: int, steps: int = _SPEED_STEPS
 ) -> dict[str, Any]:
-    """Environment steps/s on rough ground over those on flat ground, stepped in turn.
+    """Ratio of environment steps/s on rough and on flat ground, stepped alternately.
 
-    Both follow the same clips under springs towards the straight pose, so that they stand, and
-    stumble, for a while; the median of single steps' ratios does not mind a busy machine.
+    Both use the same clips. Springs towards the straight pose keep the avatars standing and
+    stumbling for a while. The median of the ratios of single steps is robust to a busy machine.
     """
     options: dict[str, Any] = {"fixed_start": False, "max_error_m": 0.5}
     sims = [
@@ -280,7 +280,7 @@ def terrain_speed(
             done = np.flatnonzero(sim.fell | sim.ended)
             if len(done):
                 sim.reset(done)
-        if step >= 5:  # the first steps warm caches and compile
+        if step >= 5:  # the first steps compile and fill caches
             ratios.append(seconds[0] / seconds[1])
     for sim in sims:
         sim.close()
@@ -306,12 +306,12 @@ def format_worlds(table: dict[str, Any]) -> str:
 
 
 def write_worlds(table: dict[str, Any], folder: Path, context: dict[str, Any]) -> Path:
-    """Write ``worlds.json``; it is either the old one or the whole new one.
+    """Write ``worlds.json`` atomically: readers see the old file or the complete new one.
 
     Args:
-        table: of ``run_worlds``.
-        folder: made if needed.
-        context: what was evaluated: agent, motions, configuration, versions, hashes.
+        table: the result of ``run_worlds``.
+        folder: created if needed.
+        context: agent, motions, configuration, versions and hashes.
 
     Returns:
         The file's path.

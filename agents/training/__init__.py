@@ -1,6 +1,6 @@
 """Training of torque policies: stages, PPO, DAgger.
 
-Public names are imported when they are first used, so that a submodule is imported alone.
+Public names are imported on first use, so that importing a submodule loads nothing else.
 """
 
 from importlib import import_module

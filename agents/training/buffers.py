@@ -1,4 +1,4 @@
-"""Rollout storage as torch tensors: no copy and no cast between collecting and learning."""
+"""Rollout storage as torch tensors: no copies or casts between rollout and update."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Targets:
-    """Rows of a rollout: actions and means ``(R, A)``, others ``(R,)``."""
+    """Rows of a rollout: actions and means ``(R, A)``, the others ``(R,)``."""
 
     actions: Tensor
     means: Tensor
@@ -21,15 +21,15 @@ class Targets:
 
 
 class TensorRolloutBuffer:
-    """One rollout of ``T`` steps in ``N`` environments, in the place of SB3's RolloutBuffer.
+    """One rollout of ``T`` steps in ``N`` environments; replaces SB3's RolloutBuffer.
 
     Args:
         buffer_size: steps ``T``.
         observation_space: box ``(D,)``.
         action_space: box ``(A,)``.
-        device: where the tensors live.
-        gae_lambda: trade-off of generalised advantage estimation.
-        gamma: discount a step.
+        device: device of the tensors.
+        gae_lambda: lambda of generalised advantage estimation.
+        gamma: discount per step.
         n_envs: environments ``N``.
     """
 
@@ -55,7 +55,7 @@ class TensorRolloutBuffer:
         self.advantages = torch.zeros(steps, device=device)
 
     def reset(self) -> None:
-        """Nothing to do: every entry is overwritten by the next rollout."""
+        """Does nothing: the next rollout overwrites every entry."""
 
     def compute_advantages(self, last_values: Tensor) -> None:
         """Generalised advantage estimation (Schulman et al. 2016, eq. 16).
@@ -76,7 +76,7 @@ class TensorRolloutBuffer:
         return self.observations.flatten(0, 1)
 
     def learning_targets(self) -> Targets:
-        """What an update learns from; advantages are normalised over the rollout."""
+        """The samples of an update; advantages are normalised over the rollout."""
         advantages = self.advantages.flatten()
         return Targets(
             actions=self.actions.flatten(0, 1),
@@ -87,12 +87,12 @@ class TensorRolloutBuffer:
         )
 
     def orders(self, size: int, epochs: int, generator: torch.Generator) -> list[Tensor]:
-        """Row indices of every minibatch of an update: all rows once an epoch, in random order.
+        """Row indices of every minibatch of an update: all rows once per epoch, in random order.
 
         Args:
-            size: rows of a minibatch; the last one of an epoch may have fewer.
+            size: rows per minibatch; the last one of an epoch may have fewer.
             epochs: passes over the rollout.
-            generator: of the orders.
+            generator: random generator of the order.
         """
         rows = self.rewards.numel()
         return [

@@ -1,4 +1,4 @@
-"""A student that learns from a teacher what to do where the student itself goes (DAgger)."""
+"""DAgger: a teacher labels the states that the student visits; the student imitates it."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from agents.training.workers import Workers
 
 @dataclass(frozen=True)
 class DaggerConfig:
-    """How a student is taught.
+    """Settings of DAgger.
 
     Attributes:
         rollout_steps: steps of every environment between updates.
         updates: gradient steps between rollouts.
-        minibatch: visited states a gradient step.
-        capacity: visited states that are remembered.
+        minibatch: visited states per gradient step.
+        capacity: size of the memory of visited states.
         learning_rate: at the start.
-        final_learning_rate: at the end of the budget; cosine in between.
+        final_learning_rate: at the end of the budget; cosine schedule.
         mix_steps: environment steps over which the share of environments that the teacher
-            drives falls from one to nothing.
-        exploration: noise on the executed actions, as a share of the teacher's own noise.
+            drives falls from 1 to 0.
+        exploration: noise on the executed actions, as a share of the teacher's noise.
     """
 
     rollout_steps: int = 16
@@ -44,12 +44,12 @@ class DaggerConfig:
 
 
 class Memory:
-    """Ring buffer of visited states and of what the teacher would have done there.
+    """Ring buffer of visited states and the teacher's actions in them.
 
     Args:
         capacity: rows.
-        inputs: numbers of a sparse observation.
-        actions: numbers of an action.
+        inputs: size of a sparse observation.
+        actions: size of an action.
     """
 
     def __init__(self, capacity: int, inputs: int, actions: int) -> None:
@@ -58,7 +58,7 @@ class Memory:
         self.size = self._next = 0
 
     def add(self, observations: Tensor, labels: Tensor) -> None:
-        """Remember ``n`` states, forgetting the oldest."""
+        """Add ``n`` states; they replace the oldest ones."""
         capacity = len(self.labels)
         rows = (self._next + torch.arange(len(labels))) % capacity
         self.observations[rows], self.labels[rows] = observations, labels
@@ -74,17 +74,18 @@ class Memory:
 class Dagger:
     """Dataset aggregation (Ross et al. 2011): the student acts, the teacher labels.
 
-    The loss is the squared error of the actions over the teacher's variance by joint, which is
-    twice the KL divergence of two Gaussians with that variance: an error counts as much as the
-    teacher was careful, so light joints with small torques are not drowned by the legs.
+    The loss is the squared error of the actions divided by the teacher's variance of each joint,
+    which is twice the KL divergence of two Gaussians with that variance. A joint on which the
+    teacher explores little counts more, so the legs do not dominate light joints with small
+    torques.
 
     Args:
-        env: VecEnv with the privileged observation; the student's part comes first.
+        env: VecEnv with the privileged observation; the student's columns come first.
         teacher: bound to ``env``.
         student: reads only the first columns of the observation.
-        config: see there.
-        seed: of mixing, noise and minibatches.
-        threads: that work side by side; the result does not depend on it.
+        config: see ``DaggerConfig``.
+        seed: seed of mixing, noise and minibatches.
+        threads: parallel threads; the result does not depend on their number.
     """
 
     def __init__(
@@ -97,7 +98,7 @@ class Dagger:
         threads: int = 1,
     ) -> None:
         self.env, self.teacher, self.policy, self.config = env, teacher.policy, student, config
-        # Labels stay exact; only the student's own matrix products are coarse while it learns.
+        # Labels are computed in float32; only the student's training uses low precision.
         student.use_bfloat16(True)
         self.num_timesteps = 0
         self.generator = torch.Generator().manual_seed(seed)
@@ -111,8 +112,8 @@ class Dagger:
         """One rollout and the updates after it.
 
         Args:
-            observe: told of every environment step.
-            progress: share of the budget that is used, 0 to 1.
+            observe: called after every environment step.
+            progress: used share of the budget, 0 to 1.
 
         Returns:
             Figures to log.
@@ -135,7 +136,7 @@ class Dagger:
         by_teacher = torch.rand(n, 1, generator=self.generator) < self.beta
         for _ in range(self.config.rollout_steps):
             obs = torch.from_numpy(self._obs)
-            # The teacher sees what the user did, even where the student is shown an estimate.
+            # The teacher observes the true motion, also where the student observes an estimate.
             truth = torch.from_numpy(getattr(self.env, "true_observation", self._obs))
             label, own = self._workers.run(
                 partial(_mean, self.teacher, truth), partial(_mean, self.policy, obs)
@@ -150,7 +151,7 @@ class Dagger:
     def _learn(self, rate: float) -> dict[str, float]:
         policy, optimizer = self.policy, self.policy.optimizer
         if policy.actor.norm.count.item() < self.config.capacity:
-            # Afterwards the statistics stay: the network need not follow a moving input.
+            # Then the statistics are fixed: the network need not adapt to changing inputs.
             newest = self.config.rollout_steps * self.env.num_envs
             end = self.memory._next or len(self.memory.labels)
             policy.update_norm(self.memory.observations[max(0, end - newest) : end])
@@ -178,17 +179,17 @@ class Dagger:
     def _gradients(
         self, observations: Tensor, labels: Tensor, parameters: list[nn.Parameter]
     ) -> tuple[Tensor, list[Tensor]]:
-        """Loss of a part of a minibatch, as its share of the whole, and its gradients."""
+        """A part's contribution to the minibatch loss; computes its gradients."""
         error = (self.policy.action_mean(observations) - labels) / self.noise
         loss = error.square().sum() / (self.config.minibatch * labels.shape[1])
         return loss.detach(), list(torch.autograd.grad(loss, parameters))
 
     def begin_anew(self) -> None:
-        """Begin episodes anew before the next rollout; what was seen before stays in memory."""
+        """Restart all episodes before the next rollout; visited states stay in memory."""
         self._obs = None
 
     def state_dict(self) -> dict[str, Any]:
-        """What going on needs; the memory of visited states is not kept, it fills up again."""
+        """State for resuming, without the memory of visited states, which fills up again."""
         return {
             "steps": self.num_timesteps,
             "policy": self.policy.state_dict(),
@@ -197,7 +198,7 @@ class Dagger:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from ``state_dict``."""
+        """Continue from ``state_dict``."""
         self.num_timesteps = state["steps"]
         self.policy.load_state_dict(state["policy"])
         self.policy.optimizer.load_state_dict(state["optimizer"])
@@ -205,6 +206,6 @@ class Dagger:
 
 
 def _mean(policy: TorquePolicy, obs: Tensor) -> Tensor:
-    """Mean actions ``(n, 33)``, clipped as the environment would."""
+    """Mean actions ``(n, 33)``, clipped as the environment clips them."""
     with torch.no_grad():
         return policy.action_mean(obs).clamp_(-1.0, 1.0)

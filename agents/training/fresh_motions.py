@@ -1,4 +1,4 @@
-"""Variations beside the motions of a training, drawn anew every so often (``--vary``)."""
+"""Random variations of the training motions, redrawn at intervals (``--vary``)."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from questsim.motion.clip import Clip
 from questsim.motion.variation import long_enough, vary
 
 MOST = 0.95
-"""The greatest share of variations."""
+"""Largest share of variations."""
 REDRAW_STEPS = 5_000_000
-"""Environment steps after which variations are drawn anew, if not asked otherwise."""
+"""Default number of environment steps between draws of variations."""
 DRAW = "draw"
-"""Of a stage's saved state: number of the variations that it learnt last."""
+"""Key in a stage's saved state: number of the draw in use."""
 
 
 @dataclass(frozen=True)
 class FreshMotions:
-    """What is learnt at each moment of a stage: the motions, and variations of them.
+    """The training clips of a stage over time: the motions and variations of them.
 
     Attributes:
         clips: the motions.
-        share: of all clips, how many are variations, 0 to ``MOST``.
-        every: environment steps after which the variations are others.
-        seed: same seed, same variations.
+        share: share of variations among all clips, 0 to ``MOST``.
+        every: environment steps between draws of variations.
+        seed: the same seed gives the same variations.
     """
 
     clips: Sequence[Clip]
@@ -39,25 +39,25 @@ class FreshMotions:
     seed: int
 
     def number(self, steps: int) -> int:
-        """Number of the draw that is learnt from after so many environment steps."""
+        """Number of the draw in use after ``steps`` environment steps."""
         return steps // self.every if self.share else 0
 
     def at(self, number: int) -> list[Clip]:
-        """The motions, and the variations of a draw."""
+        """The motions and the variations of one draw."""
         if not self.share:
             return list(self.clips)
         count = max(round(len(self.clips) * self.share / (1.0 - self.share)), 1)
         return [*self.clips, *vary(self.clips, count, 1000 * self.seed + number)]
 
     def last(self, folder: Path) -> int:
-        """Number of the draw that a stage's last checkpoint in ``folder`` learnt from."""
+        """Number of the draw in use at a stage's last checkpoint in ``folder``."""
         if not self.share or not (folder / CARD_FILE).exists():
             return 0
         return int(load_resume(folder).get(DRAW, 0))
 
 
 def check_share(share: float, redraw: int | None, clips: Sequence[Clip]) -> None:
-    """Refuse variations that cannot be, before anything is made.
+    """Check the options of variations before anything is written.
 
     Raises:
         InputError: naming the option.
@@ -73,14 +73,14 @@ def check_share(share: float, redraw: int | None, clips: Sequence[Clip]) -> None
 def redrawing(
     fresh: FreshMotions, env: QuestVecEnv, learner: Learner, number: int, state: dict[str, Any]
 ) -> Callable[[int], None]:
-    """What to call before each iteration, with its steps: changes the variations when it is time.
+    """A function to call with the steps before each iteration; replaces variations when due.
 
     Args:
-        fresh: the motions.
-        env: what the learner learns in.
-        learner: begins anew there.
-        number: of the draw that ``env`` has now.
-        state: is told the number of the draw, to be saved with the stage.
+        fresh: the motions and their variations.
+        env: the training environment.
+        learner: restarts its episodes after a replacement.
+        number: number of the draw that ``env`` has now.
+        state: gets the number of the draw, to be saved with the stage.
     """
     state[DRAW] = number
 

@@ -1,4 +1,4 @@
-"""What the two ways of learning, PPO and DAgger, have in common."""
+"""The common interface of the learners, PPO and DAgger."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ StepObserver = Callable[[np.ndarray, np.ndarray, list[dict[str, Any]]], None]
 
 
 class Learner(Protocol):
-    """Something that improves a policy, an iteration at a time."""
+    """Trains a policy, one iteration at a time."""
 
     policy: TorquePolicy
     num_timesteps: int
@@ -24,30 +24,30 @@ class Learner(Protocol):
         """One rollout and the update after it; returns figures to log.
 
         Args:
-            observe: told of every environment step.
-            progress: share of the budget that is used, 0 to 1.
+            observe: called after every environment step.
+            progress: used share of the budget, 0 to 1.
         """
         ...
 
     def begin_anew(self) -> None:
-        """Begin episodes anew before the next iteration: the environment has other motions."""
+        """Restart all episodes before the next iteration, after the motions changed."""
         ...
 
     def state_dict(self) -> dict[str, Any]:
-        """What going on needs, in plain values and tensors."""
+        """State for resuming, as plain values and tensors."""
         ...
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from ``state_dict``."""
+        """Continue from ``state_dict``."""
         ...
 
 
 class TrainingError(InputError):
-    """Training cannot go on; what was saved before is good.
+    """Training cannot continue; earlier checkpoints are valid.
 
     Args:
         what: what went wrong, e.g. ``"the loss is not finite"``.
-        steps: environment steps of the stage at which it was noticed.
+        steps: environment steps of the stage when it was noticed.
     """
 
     def __init__(self, what: str, steps: int) -> None:

@@ -1,4 +1,4 @@
-"""What learns in a stage, before its first step: fresh, or from what was learnt before."""
+"""Build the learner of a stage, with a new policy or from an earlier one."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ if TYPE_CHECKING:
 def make_learner(
     name: str, args: TrainArgs, config: StageConfig, env: QuestVecEnv, seed: int
 ) -> Learner:
-    """What learns in a stage, before its first step.
+    """The learner of a stage, before its first step.
 
     Args:
-        name: of the stage.
-        args: options of the training; where teacher, student and start are looked for.
-        config: of the stage.
-        env: what it learns in.
-        seed: of everything that is random in it.
+        name: name of the stage.
+        args: options of the training; they say where to find teacher, student and start.
+        config: the stage's preset.
+        env: the training environment.
+        seed: seed of all its random numbers.
 
     Raises:
-        InputError: a policy that it builds on is not there or does not fit.
+        InputError: a policy that it builds on is missing or does not fit.
     """
     if isinstance(config.learning, DaggerConfig):
         return _student(args, config, config.learning, env, seed)
@@ -59,7 +59,7 @@ def make_learner(
 def make_ppo(
     config: StageConfig, ppo: PPOConfig, env: QuestVecEnv, seed: int, threads: int = 1
 ) -> AdaptivePPO:
-    """PPO with a fresh policy for ``env``."""
+    """PPO with a new policy for ``env``."""
     noise = noise_by_joint(DOFS, ppo.noise_legs_and_trunk, ppo.noise_arms_and_neck)
     return AdaptivePPO(
         TorquePolicy,
@@ -100,28 +100,28 @@ def _student(
     teacher.bind(env)
     sparse = Layout.of(env.layout).within(config.policy.actor_blocks)
     student = new_policy(config.policy, sparse, learning.learning_rate)
-    # Of several stages, --start is where the teacher begins.
+    # With several stages, --start initialises the teacher.
     if args.start is not None and args.stage == "student":
         copy_actor(_starting_policy(args.start, env), student, args.start)
     elif student.head is not None and teacher.policy.head is not None:
-        # The stiffness that the teacher found is a good start for what imitates it.
+        # The student starts from the stiffness that the teacher learnt.
         student.head.load_state_dict(teacher.policy.head.state_dict(), strict=False)
     student.log_std.data.copy_(teacher.policy.log_std.data)
     return Dagger(env, teacher, student, learning, seed, args.threads)
 
 
 def _starting_policy(where: Path, env: QuestVecEnv) -> TorquePolicy:
-    """A policy to train further, which fits ``env``."""
+    """A policy to train further that fits ``env``."""
     start = load_policy(find_policy(where))
     start.bind(env)
     return start.policy
 
 
 def _begin_with(policy: TorquePolicy, teacher: Path) -> None:
-    """Take the networks, critic included, and normalisers of another teacher.
+    """Copy the networks, critic included, and normalisers of another teacher.
 
     Raises:
-        InputError: there is none, or its networks differ.
+        InputError: there is no such teacher, or its networks differ.
     """
     folder = find_teacher(teacher)
     copy_actor(load_policy(folder).policy, policy, teacher)
@@ -129,31 +129,31 @@ def _begin_with(policy: TorquePolicy, teacher: Path) -> None:
 
 
 def copy_actor(source: TorquePolicy, target: TorquePolicy, where: Path) -> None:
-    """Give ``target`` the networks, normaliser and gains of a policy without critic.
+    """Copy the networks, normaliser and gains of ``source``, without critic, to ``target``.
 
     Args:
         source, target: policies.
-        where: the source came from, for messages.
+        where: origin of the source, for messages.
 
     Raises:
         InputError: if their networks differ.
     """
     state = {k: v for k, v in source.state_dict().items() if not k.startswith("critic.")}
     fresh = ["critic."]
-    if source.spec.balance == "none":  # of a generation without it: its gains begin anew
+    if source.spec.balance == "none":  # older policies lack it: its gains keep their start values
         fresh.append("head.balance.")
         _widen(state, target)
     try:
         missing, unexpected = target.load_state_dict(state, strict=False)
         fits = not unexpected and all(name.startswith(tuple(fresh)) for name in missing)
-    except RuntimeError:  # of another shape
+    except RuntimeError:  # the shapes differ
         fits = False
     if not fits:
         raise InputError("its networks do not fit this preset's", where, "see --start")
 
 
 def _widen(state: dict[str, Tensor], target: TorquePolicy) -> None:
-    """Give an actor of 33 outputs the three that a target with balance has beside them: zeros."""
+    """Extend an actor of 33 outputs by the 3 balance outputs of the target, with zeros."""
     if target.spec.balance != "feet":
         return
     last = f"actor.layers.{len(target.actor.layers) - 1}."

@@ -1,4 +1,4 @@
-"""What a training tells while it runs: TensorBoard curves and one line of progress."""
+"""Output of a running training: TensorBoard curves and a progress line."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from agents.evaluation.follow import Followed
 
 
 def training_logger(folder: Path) -> Logger:
-    """Writes curves for TensorBoard and as ``progress-1.csv``; a resumed run begins ``-2``."""
+    """Writes curves for TensorBoard and to ``progress-1.csv``; a resumed run starts ``-2``."""
     part = len(list(folder.glob("progress-*.csv"))) + 1
     kinds = ("csv", "tensorboard")
     return Logger(str(folder), [make_output_format(k, str(folder), f"-{part}") for k in kinds])
 
 
 class Monitor:
-    """Gathers what happens between two log points and writes it for TensorBoard.
+    """Accumulates statistics between log points and writes them for TensorBoard.
 
     Args:
-        env: the training environment; its ``reward_terms`` are read after each step, and its
-            ``unstable_count`` where something is written.
-        folder: for TensorBoard's files, and the same curves as ``progress-1.csv``.
+        env: the training environment; its ``reward_terms`` are read after each step, its
+            ``unstable_count`` at each log point.
+        folder: folder of TensorBoard's files and of ``progress-1.csv`` with the same curves.
     """
 
     def __init__(self, env: Any, folder: Path) -> None:
@@ -46,7 +46,7 @@ class Monitor:
         self._fallen: Counter[str] = Counter()
 
     def observe(self, rewards: np.ndarray, dones: np.ndarray, infos: list[dict[str, Any]]) -> None:
-        """Take in one step: rewards and dones ``(n,)``, infos of those that ended."""
+        """Record one step: rewards and dones ``(n,)``, infos of ended episodes."""
         self._steps += len(rewards)
         self._reward += float(rewards.sum())
         self._terms += self._env.reward_terms.sum(0)
@@ -57,7 +57,7 @@ class Monitor:
             self._fallen[info["kind"]] += bool(info["fell"])
 
     def write(self, step: int, figures: dict[str, float]) -> float:
-        """Write everything since the last call; returns environment steps a second."""
+        """Write the statistics since the last call; returns environment steps per second."""
         rate = self._steps / max(time.perf_counter() - self._since, 1e-9)
         self.reward = self._reward / max(self._steps, 1)
         record, names = self._logger.record, self._env.reward_names
@@ -79,7 +79,7 @@ class Monitor:
         return rate
 
     def write_evaluation(self, step: int, followed: Followed) -> None:
-        """Write the outcome of an evaluation on the fixed set."""
+        """Write the result of an evaluation on the fixed set."""
         for name, value in evaluation_figures(followed).items():
             self._logger.record(f"evaluation/{name}", value)
         self._logger.record("time/total_timesteps", step)
@@ -91,7 +91,7 @@ class Monitor:
 
 
 def evaluation_figures(followed: Followed) -> dict[str, float]:
-    """What is kept of an evaluation: overall, and the share tracked by kind of motion."""
+    """Figures of an evaluation: overall, and the share tracked for each kind of motion."""
     figures = {
         "score": followed.score,
         "tracked": followed.tracked,
@@ -104,7 +104,7 @@ def evaluation_figures(followed: Followed) -> dict[str, float]:
 
 
 class Display:
-    """One progress bar on a terminal; a line each evaluation where there is none."""
+    """A progress bar on a terminal; elsewhere one line per evaluation."""
 
     def __init__(self) -> None:
         self._console = Console()
@@ -134,7 +134,7 @@ class Display:
         reward: float,
         tracked: float,
     ) -> None:
-        """Redraw: share of the budget used, steps and steps/s, seconds left, clips tracked."""
+        """Redraw: used share of the budget, steps and steps/s, seconds left, clips tracked."""
         text = (
             f"{steps / 1e6:.2f} M steps  {rate / 1e3:.1f} k/s  reward {reward:.3f}  "
             f"tracked {100 * tracked:.0f} %"
@@ -142,7 +142,7 @@ class Display:
         self.show(stage, progress, text, left_s)
 
     def show(self, stage: str, progress: float, text: str, left_s: float) -> None:
-        """Redraw with any text: share of the budget used, seconds left."""
+        """Redraw with the given text: used share of the budget, seconds left."""
         left = f"{int(left_s // 60)}:{int(left_s % 60):02d} left" if np.isfinite(left_s) else ""
         self._bar.update(
             self._task, description=stage, completed=min(progress, 1.0), text=f"{text}  {left}"

@@ -20,60 +20,60 @@ class TrainArgs:
     out: Path
     """Folder of the run: record, checkpoints, TensorBoard logs."""
     motions: str = "synthetic"
-    """What to learn: synthetic, a dataset (bandai-namco-2:train), a library, file or folder."""
+    """Motions to learn: synthetic, a dataset (bandai-namco-2:train), a library, file or folder."""
     preset: Pick = "cpu"
-    """What learns on two cores, what was published, or a test of two minutes."""
+    """cpu: learns on two cores; paper: as published; smoke: a test of two minutes."""
     stage: Literal["all", "teacher", "student", "finetune", "ppo"] = "all"
-    """One stage alone, with the whole time for itself."""
+    """Train only this stage, with the whole time budget."""
     minutes: float | None = None
-    """Time for everything, earlier parts of a resumed run included; by default the preset's."""
+    """Total time budget, including earlier parts of a resumed run; by default the preset's."""
     steps: int | None = None
     """Environment steps of each stage, instead of the preset's limit."""
     resume: bool = False
-    """Go on with the run in --out."""
+    """Resume the run in --out."""
     teacher: Path | None = None
     """A teacher for the student stage: a folder or a shipped name; by default the run's own."""
     start: Path | None = None
-    """A teacher, by folder or shipped name, whose weights the teacher begins with; with --stage
-    student or finetune, a policy (a run, a stage, a shipped name) that is trained further."""
+    """A teacher, by folder or shipped name, whose weights initialise the new teacher; with --stage
+    student or finetune, a policy (a run, a stage, a shipped name) to train further."""
     estimates: str | None = None
-    """Libraries of questsim estimate, joined by commas, of --motions: what learns with --stage
-    student or finetune is a tracker that is shown these, and what they are of, while its teacher
-    sees, and its reward is for, what the users did."""
+    """Libraries that questsim estimate made from --motions, separated by commas. With --stage
+    student or finetune, trains a tracker that observes these estimates and the true motions; its
+    teacher observes, and its reward scores, the true motions."""
     sensors: str = "H+2C"
-    """What the policy sees of the user."""
+    """Sensor set that the policy observes."""
     future_frames: int = 6
-    """How many frames ahead it sees the sensors (0 to 6)."""
+    """Number of future sensor frames that it observes (0 to 6)."""
     heights: tuple[float, float] | None = None
-    """Statures in metres to train with, by default the motions' own."""
+    """Statures in metres to train with; by default each motion's own."""
     mirrored: bool = False
-    """Learn every clip mirrored as well."""
+    """Also train on the mirror image of every clip."""
     vary: float = 0.0
-    """Share of the clips that are random variations of --motions, 0 to 0.95 (docs/motion.md). With
-    them kinds of motion of which there is little are drawn more often."""
+    """Share of random variations of --motions among the clips, 0 to 0.95 (docs/motion.md). Rare
+    kinds of motion are varied more often."""
     redraw: int | None = None
-    """With --vary: environment steps after which there are other variations; 5 million."""
+    """With --vary: environment steps between draws of variations; by default 5 million."""
     env: str | None = None
-    """Ground to learn on: rough, slope, stairs, course, mixed (flat, rough and sloping), ..., or
-    rough:amplitude_m=0.06; flat by default. With --start a policy goes on there."""
+    """Training terrain: rough, slope, stairs, course, mixed (flat, rough and sloping), ..., or
+    rough:amplitude_m=0.06; by default flat. With --start, a policy is trained further on it."""
     pushes: tuple[float, float] | None = None
-    """Push the avatars every 1 to 4 s for 0.2 s at the chest, with this least and greatest force in
-    newtons, in any direction."""
+    """Push the avatars at the chest for 0.2 s every 1 to 4 s, in random directions, with a force
+    between these two values in newtons."""
     objects: tuple[str, ...] = ()
-    """Things on the clips' paths, to stumble over and to kick: ball, box, hurdle, chair."""
+    """Objects on the clips' paths, to stumble over or kick: ball, box, hurdle, chair."""
     randomisation: Randomisation = field(default_factory=Randomisation)
-    """What differs between the simulations."""
+    """Domain randomisation across the simulations."""
     starts: Starts = field(default_factory=Starts)
-    """How episodes begin; by default in the motion's own state."""
+    """Initial state of episodes; by default the motion's own state."""
     hold_out: str = ""
-    """Styles, joined by commas, that are not learnt from but evaluated on."""
+    """Styles, separated by commas, to hold out from training and evaluate on."""
     validation: str | None = None
-    """Motions on which checkpoints are compared, as --motions; by default some of those learnt."""
+    """Motions on which checkpoints are compared, as --motions; by default some training clips."""
     envs: int | None = None
-    """Simulations in the batch, by default the preset's."""
+    """Number of parallel simulations; by default the preset's."""
     threads: int = 2
-    """Threads of physics and networks."""
+    """Threads for physics and networks."""
     seed: int = 0
-    """Of everything that is random."""
+    """Seed of all random numbers."""
     set: tuple[str, ...] = ()
-    """Values of the preset to change, e.g. stages.teacher.learning.desired_kl=0.06."""
+    """Change values of the preset, e.g. stages.teacher.learning.desired_kl=0.06."""

@@ -21,27 +21,30 @@ from agents.training.workers import Workers
 
 LEARNING_RATE_RANGE = (1e-6, 3e-3)
 SPENT = 1.5
-"""An update ends when its KL divergence has come to this multiple of what is desired."""
+"""An update ends when its KL divergence reaches this multiple of the desired one."""
 
 
 class AdaptivePPO(PPO):
     """Proximal policy optimisation (Schulman et al. 2017), fast on few cores.
 
-    It differs from stable-baselines3's PPO in five ways: values are computed once a rollout, in one
-    batch, and so are those of truncated episodes; the rollout stays in torch tensors; the learning
-    rate follows the KL divergence of the update (as in rsl_rl), begins where a trial step of the
-    first update puts it, and an update ends when its KL divergence is spent; the observation
-    normaliser of the policy is updated after each update. The first rollout only measures the
-    observations.
+    It differs from stable-baselines3's PPO in these points:
+
+    - Values, also those of truncated episodes, are computed once per rollout in one batch.
+    - The rollout stays in torch tensors.
+    - The learning rate adapts to the KL divergence of the update (as in rsl_rl). A trial step in
+      the first update chooses the initial rate.
+    - An update ends early when its KL divergence reaches the limit.
+    - The policy's observation normaliser is updated after each update. The first rollout only
+      initialises the normaliser.
 
     Args:
         policy: ``TorquePolicy``, and its ``policy_kwargs``.
         env: a stable-baselines3 VecEnv.
-        desired_kl: the KL divergence an update should come to; None keeps the learning rate.
-        final_kl: what it falls to over the budget, geometrically; None keeps it.
+        desired_kl: target KL divergence of an update; None keeps the learning rate fixed.
+        final_kl: value to which ``desired_kl`` falls geometrically over the budget; None keeps it.
         reward_scale: factor on rewards; ``1 - gamma`` brings values into the rewards' range.
-        bfloat16: whether matrix products while training are of that precision.
-        threads: that work side by side; the result does not depend on it.
+        bfloat16: whether training computes matrix products in bfloat16.
+        threads: parallel threads; the result does not depend on their number.
         **options: those of stable-baselines3's PPO.
     """
 
@@ -122,8 +125,8 @@ class AdaptivePPO(PPO):
         """Values, log probabilities and advantages of the rollout, in few large batches.
 
         Args:
-            truncated: step, environment and last observation of every episode that ran out of
-                reference rather than fell: its future is worth what the critic says.
+            truncated: step, environment and last observation of every episode that reached the
+                end of its reference without a fall; the critic estimates its remaining return.
         """
         policy, buffer = self.policy, self.rollout_buffer
         buffer.rewards *= self.reward_scale
@@ -148,10 +151,10 @@ class AdaptivePPO(PPO):
         self.policy.update_norm(self.rollout_buffer.flat_observations())
 
     def _optimise(self) -> None:
-        """Let actor and critic learn from the rollout, each in a thread of its own.
+        """Train actor and critic on the rollout, each in its own thread.
 
-        They share nothing but what they read, so on two cores an update takes half the time; each
-        works single-threaded, and the result is the same bits at any number of threads.
+        They share only read-only data, so on two cores an update takes half the time. Each is
+        single-threaded, so the result has the same bits at any number of threads.
         """
         policy, record = self.policy, self.logger.record
         policy.set_training_mode(True)
@@ -163,7 +166,7 @@ class AdaptivePPO(PPO):
         )
         self._n_updates += self.n_epochs
         if not self.actor_frozen:
-            # As if all steps had been made: those of the next update are as long.
+            # Scaled to all steps: those of the next update are as long.
             self._adapt_rate(figures[1] / figures[3])
         names = ("policy_loss", "kl", "clip_fraction", "steps_made")
         for name, figure in zip(names, figures, strict=True):
@@ -177,7 +180,7 @@ class AdaptivePPO(PPO):
 
         Returns:
             Policy loss of all steps; KL divergence and share of clipped ratios of the last epoch;
-            share of the steps that were made before the KL divergence was spent.
+            share of the steps made before the KL limit ended the update.
         """
         policy, clip = self.policy, float(self.clip_range(1))  # type: ignore[operator]
         if self.actor_frozen:
@@ -205,7 +208,7 @@ class AdaptivePPO(PPO):
     def _surrogate(
         self, mean: Tensor, rows: Tensor, targets: Targets, clip: float
     ) -> tuple[Tensor, Tensor]:
-        """Loss of a minibatch, and the share of its ratios that are clipped."""
+        """Loss of a minibatch and its share of clipped ratios."""
         policy = self.policy
         log_ratio = policy.log_prob(mean, targets.actions[rows]) - targets.log_probs[rows]
         ratio, advantages = log_ratio.exp(), targets.advantages[rows]
@@ -220,8 +223,8 @@ class AdaptivePPO(PPO):
     ) -> None:
         """Choose the first learning rate by a trial step, which is then undone.
 
-        A step's KL divergence grows with the square of its length. Steps of an update partly
-        agree in direction, so n of them come to between n and n^2 times that of one.
+        The KL divergence of a step grows with the square of its length. The steps of an update
+        agree partly in direction, so n steps reach between n and n^2 times the divergence of one.
         """
         policy, optimizer = self.policy, self.policy.optimizer
         assert self.desired_kl is not None
@@ -299,12 +302,12 @@ class AdaptivePPO(PPO):
         return {k: float(v) for k, v in self.logger.name_to_value.items()}
 
     def begin_anew(self) -> None:
-        """Begin episodes anew before the next rollout."""
+        """Restart all episodes before the next rollout."""
         self._last_obs = None
         self._last_episode_starts = np.ones(self.n_envs, bool)  # type: ignore[assignment]
 
     def state_dict(self) -> dict[str, Any]:
-        """What going on needs, in plain values and tensors."""
+        """State for resuming, as plain values and tensors."""
         critic = self.policy.critic_optimizer
         return {
             "steps": self.num_timesteps,
@@ -318,7 +321,7 @@ class AdaptivePPO(PPO):
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from ``state_dict``."""
+        """Continue from ``state_dict``."""
         self.num_timesteps, self._n_updates = state["steps"], state["updates"]
         self.policy.load_state_dict(state["policy"])
         self.policy.optimizer.load_state_dict(state["optimizer"])
@@ -329,7 +332,7 @@ class AdaptivePPO(PPO):
         self._rate_is_measured = state.get("rate_is_measured", True)
 
     def _adapt_rate(self, kl: float) -> None:
-        """Halve or double the learning rate when the update went too far or not far enough."""
+        """Lower or raise the learning rate if the KL divergence was too large or too small."""
         if self.desired_kl is None or self.actor_frozen:
             return
         if kl > 2.0 * self.desired_kl:
@@ -344,7 +347,7 @@ class AdaptivePPO(PPO):
 
 
 class _Observer(BaseCallback):
-    """Passes every environment step on; what a stable-baselines3 callback has to be for that."""
+    """A stable-baselines3 callback that forwards every environment step to ``observe``."""
 
     def __init__(self, observe: StepObserver) -> None:
         super().__init__()

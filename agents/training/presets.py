@@ -1,4 +1,4 @@
-"""Every number of a training, by preset: what was published, what two cores learn, a smoke test."""
+"""All training settings by preset: ``paper`` (as published), ``cpu`` (two cores), ``smoke``."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from questsim.reward import PAPER_REWARD, RewardConfig
 
 @dataclass(frozen=True)
 class PPOConfig:
-    """How a policy learns from its reward.
+    """Settings of PPO.
 
     Attributes:
         rollout_steps: steps of every environment between updates.
-        epochs, minibatch: passes over a rollout, and samples a gradient step.
-        gamma, gae_lambda: discount a step, and of advantage estimation.
-        clip: of the probability ratio.
-        learning_rate: of the actor; with ``desired_kl`` only its start.
+        epochs, minibatch: passes over a rollout, and samples per gradient step.
+        gamma, gae_lambda: discount per step, and lambda of advantage estimation.
+        clip: clipping range of the probability ratio.
+        learning_rate: of the actor; with ``desired_kl`` only the start value.
         critic_learning_rate: of the critic; None for the actor's.
-        desired_kl: KL divergence that an update should come to; None for a fixed learning rate.
-        final_kl: what it falls to over the budget; None keeps it.
-        max_grad_norm: of the actor's and of the critic's gradient.
+        desired_kl: target KL divergence of an update; None for a fixed learning rate.
+        final_kl: value to which ``desired_kl`` falls over the budget; None keeps it.
+        max_grad_norm: largest gradient norm of the actor and of the critic.
         reward_scale: factor on rewards, so that values are of order one.
         noise_legs_and_trunk, noise_arms_and_neck: start values of the exploration noise.
         learn_noise: whether the noise is trained.
-        bfloat16: precision of matrix products while training, where the processor has it; float32
-            otherwise.
+        bfloat16: whether training uses bfloat16 matrix products if the processor supports them;
+            otherwise float32.
         critic_warmup_steps: environment steps in which only the critic learns.
     """
 
@@ -55,15 +55,15 @@ class StageConfig:
     """One stage of a training.
 
     Attributes:
-        share: of the whole time budget.
+        share: share of the whole time budget.
         policy: networks and head.
-        learning: by reward (PPO) or from a teacher (DAgger).
-        steps: environment steps after which it ends even if there is time; None for no limit.
+        learning: settings of PPO or DAgger.
+        steps: largest number of environment steps; None for no limit.
         evaluate_every: environment steps between evaluations on the fixed set.
-        reward: of the environment.
+        reward: reward of the environment.
         sampling: ``uniform`` or ``failure``.
-        max_error_m: mean link error at which its episodes end; what comes after is no longer
-            worth the simulation. Evaluations always allow 0.5 m.
+        max_error_m: mean link error at which training episodes end early, to save simulation.
+            Evaluations always allow 0.5 m.
     """
 
     share: float
@@ -77,7 +77,7 @@ class StageConfig:
 
     @property
     def privileged(self) -> bool:
-        """Whether its environment must show the reference."""
+        """Whether its environment needs the privileged observation of the reference."""
         needs_teacher = isinstance(self.learning, DaggerConfig)
         return needs_teacher or "privileged" in self.policy.actor_blocks + self.policy.critic_blocks
 
@@ -88,11 +88,11 @@ class Preset:
 
     Attributes:
         minutes: default time budget; None for none.
-        num_envs: simulations in the batch.
+        num_envs: number of parallel simulations.
         body_preset: see ``questsim.body``.
         stages: by name, in order: ``teacher``, ``student``, ``finetune``, or ``ppo`` alone.
-        validation_clips: how many training clips make up the fixed evaluation set.
-        expect: what to expect of it when, for the line at its start.
+        validation_clips: number of training clips in the fixed evaluation set.
+        expect: what to expect, and when; printed at the start.
     """
 
     minutes: float | None
@@ -118,8 +118,8 @@ STUDENT = PolicySpec(
     balance="feet",
 )
 SHOWN_ESTIMATES = replace(TEACHER, critic_blocks=())
-"""A student that follows what kinematic systems make of the devices; as large as a teacher."""
-# The critic is thrown away after training, so it may see what the actor must guess.
+"""A student that follows the estimates of kinematic systems; as large as a teacher."""
+# The critic is used only in training, so it may observe what the actor cannot.
 FINETUNED = PolicySpec(
     actor_blocks=SPARSE_BLOCKS,
     critic_blocks=(*SPARSE_BLOCKS, "privileged"),
@@ -137,10 +137,10 @@ TRACKING_REWARD = RewardConfig(
     link_orientations=0.3,
     k_link_positions=60.0,
 )
-"""A teacher's reward: what is off is told at once, long before the fall that it leads to.
+"""Teacher reward. Sharper kernels than the paper's penalise errors well before they cause a fall.
 
-Places weigh more than published, and links may not turn or lean. The contact term is left out: to
-a beginner it is mostly the noise of its own exploration."""
+Link positions weigh more than in the paper, and link orientations are scored. There is no contact
+term: early in training it mostly measures exploration noise."""
 
 CPU = Preset(
     minutes=45.0,
@@ -171,7 +171,7 @@ CPU = Preset(
             evaluate_every=200_000,
             max_error_m=0.3,
         ),
-        # Outside of the default budget: `--stage finetune` adds it to a finished student.
+        # Not in the default budget: `--stage finetune` trains a finished student further.
         "finetune": StageConfig(
             share=0.0,
             policy=FINETUNED,
@@ -255,13 +255,13 @@ SMOKE = Preset(
         ),
     },
 )
-"""Whether everything works, in two minutes: it learns little."""
+"""A two-minute test that training works; the policy learns little."""
 
 
 def shown_estimates(name: str, stage: StageConfig) -> StageConfig:
-    """A stage of that name for a tracker that sees estimates in place of what the user did.
+    """The stage ``name`` for a tracker that observes estimates instead of the true motion.
 
-    Its networks are a teacher's, and so is its reward, which is of what the user did.
+    It has the networks and the reward of a teacher; the reward scores the true motion.
     """
     if name == "finetune":
         return replace(stage, policy=TEACHER, reward=TRACKING_REWARD)

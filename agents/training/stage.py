@@ -1,4 +1,4 @@
-"""One stage of a training: iterations, evaluations and checkpoints until the budget is used."""
+"""One training stage: iterations, evaluations and checkpoints until the budget is used."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from agents.training.monitor import Display, Monitor, evaluation_figures
 
 @dataclass
 class Budget:
-    """How long a stage may run: wall time, environment steps, or whichever comes first.
+    """Limits of a stage: wall time, environment steps or both; the first one reached ends it.
 
     Attributes:
-        seconds: None for no limit; time spent before a resume counts.
+        seconds: None for no limit; time before a resume counts.
         steps: None for no limit.
         spent: seconds spent in earlier runs.
     """
@@ -39,11 +39,11 @@ class Budget:
 
     @property
     def elapsed(self) -> float:
-        """Seconds spent so far, earlier runs included."""
+        """Seconds spent so far, including earlier runs."""
         return self.spent + time.perf_counter() - self._began
 
     def progress(self, steps: int) -> float:
-        """Share that is used after ``steps`` environment steps; 1 or more: over."""
+        """Share used after ``steps`` environment steps; the stage ends at 1."""
         shares = [0.0]
         if self.seconds is not None:
             shares.append(self.elapsed / self.seconds if self.seconds > 0 else 1.0)
@@ -58,7 +58,7 @@ class Budget:
 
 
 class Stopper:
-    """Turns the first Ctrl-C (or termination) into a request; the second one interrupts."""
+    """Turns the first Ctrl-C (or SIGTERM) into a stop request; the second one interrupts."""
 
     def __init__(self) -> None:
         self.requested = False
@@ -69,7 +69,7 @@ class Stopper:
 
     @contextmanager
     def listening(self) -> Iterator[None]:
-        """Listen for signals; only the main thread can."""
+        """Install the signal handlers, if called in the main thread."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
@@ -83,21 +83,21 @@ class Stopper:
 
 @dataclass
 class Stage:
-    """A learner, what it learns in, and where its checkpoints go.
+    """A learner, its environment and the folder of its checkpoints.
 
     Attributes:
         name: ``teacher``, ``student``, ``finetune`` or ``ppo``.
         learner: PPO or DAgger.
         env: the training VecEnv.
-        needs: what the policy needs of an environment.
+        needs: the environment that the policy needs.
         folder: gets ``last/``, ``best/`` and ``tensorboard/``.
-        budget: how long.
-        validate: lets an agent follow the fixed set of clips.
+        budget: time and step limits.
+        validate: runs an agent on the fixed set of clips.
         evaluate_every: environment steps between evaluations.
-        record: what to note in the checkpoint beside steps and figures.
+        record: saved in the checkpoint in addition to steps and figures.
         must_improve: whether only a policy better than the first one counts as best.
         before_iteration: called with the learner's steps; for schedules.
-        beside: saved with the learner's state; for those who resume.
+        beside: additional state saved with the learner's, for resuming.
     """
 
     name: str
@@ -116,10 +116,10 @@ class Stage:
     history: list[dict[str, float]] = field(default_factory=list)
 
     def resume(self) -> None:
-        """Go on from the last checkpoint: steps, networks, optimiser, sampler, random states.
+        """Continue from the last checkpoint: steps, networks, optimiser, sampler, random states.
 
-        The avatars go on with their episodes, so that PPO ends with the bits of a run that was
-        not interrupted.
+        The avatars continue their episodes, so PPO ends with the same bits as a run without
+        interruption.
         """
         state = load_resume(self.folder / "last")
         self.learner.load_state_dict(state["learner"])
@@ -132,7 +132,7 @@ class Stage:
         """Train until the budget is used or a stop is requested.
 
         Raises:
-            TrainingError: if a loss or reward is not finite; the last checkpoint is kept.
+            TrainingError: a loss or reward is not finite; the last checkpoint is kept.
         """
         learner, budget = self.learner, self.budget
         if budget.progress(learner.num_timesteps) >= 1 and self._is_evaluated():

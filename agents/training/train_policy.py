@@ -46,9 +46,9 @@ from questsim.motion.clip import Clip
 
 Pairs = dict[str, tuple[Clip, Clip]]
 _PAUSE_S = (1.0, 4.0)
-"""Between pushes: long enough to recover from one before the next."""
+"""Seconds between pushes: long enough to recover from one before the next."""
 MAY_DIFFER_ON_RESUME = {
-    "motions",  # the hash of what is in them is compared
+    "motions",  # compared by the hash of their contents
     "minutes",
     "steps",
     "resume",
@@ -89,7 +89,7 @@ def train(args: TrainArgs) -> int:
         check_same_run(read_run(args.out), args, data, MAY_DIFFER_ON_RESUME, args.out)
 
     def begin() -> None:
-        # Not earlier: options and motions that a stage refuses leave no run behind.
+        # Written only now: refused options or motions must not leave a run behind.
         if not (args.out / RECORD).exists():
             start_run(args.out, args, preset, data, shipped_behind(args.start, args.teacher))
         elif not noted:
@@ -98,7 +98,7 @@ def train(args: TrainArgs) -> int:
 
     noted: list[bool] = []
 
-    torch.set_num_threads(1)  # the learners' own workers share the cores; see workers.py
+    torch.set_num_threads(1)  # the learners use their own workers; see workers.py
     stopper = Stopper()
     with only_training(args.out), Display() as display, stopper.listening():
         display.say(f"preset {args.preset}: {preset.expect}")
@@ -112,7 +112,7 @@ def train(args: TrainArgs) -> int:
 
 
 def _refuse_unused(args: TrainArgs) -> None:
-    """Refuse the policies that a single stage does not build on.
+    """Refuse ``--start`` or ``--teacher`` for a stage that does not use it.
 
     Raises:
         InputError: naming the option.
@@ -124,34 +124,34 @@ def _refuse_unused(args: TrainArgs) -> None:
 
 
 def shipped_behind(start: Path | None, teacher: Path | None) -> dict[str, Any]:
-    """How the shipped policies that ``--start`` and ``--teacher`` name were trained."""
+    """Training records of the shipped policies named by ``--start`` and ``--teacher``."""
     named = {"start": start, "teacher": teacher}
     found = {option: find_policy(name) for option, name in named.items() if name is not None}
     cards = {option: read_card(folder).get("training", {}) for option, folder in found.items()}
-    # A run's own folder tells by itself.
+    # A run folder has its own record.
     return {option: training for option, training in cards.items() if "stages" in training}
 
 
 def _outcome(out: Path) -> str:
-    """Where the policy is, if the training kept one."""
+    """Print where the policy is, if the training saved one."""
     try:
         return f"trained: {find_policy(out)}"
-    except InputError:  # a fine-tuning keeps only what is better than its start
+    except InputError:  # fine-tuning saves only a policy better than its start
         return f"no better than its start yet; go on with --resume --out {out}"
 
 
 def load_clips(args: TrainArgs) -> list[Clip]:
-    """The clips of ``--motions``, on the data's own statures."""
+    """The clips of ``--motions``, at the data's own statures."""
     from questsim.motion.spec import load_motions
 
     return load_motions(args.motions, mirrored=args.mirrored, seed=args.seed)
 
 
 def _estimates(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
-    """By name what the user did and what is shown of it: each estimate, and once the truth.
+    """Pairs of true and observed clips, by name: one per estimate, and the truth itself once.
 
     Raises:
-        InputError: the stage has no use for estimates, or they are not of these clips.
+        InputError: the stage does not use estimates, or they are not of these clips.
     """
     from questsim.motion.retarget import to_clip
     from questsim.motion.retarget_back import to_motion
@@ -177,13 +177,13 @@ def _estimates(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
                 "name a library that questsim estimate made of them",
             )
         if known[user].height_m != estimate.height_m:
-            # Estimates are of recordings, and a recording's stature is measured on its bones.
+            # Estimates are made from recordings, whose stature is measured on their bones.
             known[user] = to_clip(to_motion(known[user]))
         name, again = estimate.name, 2
-        while name in pairs:  # of the same system, from other devices
+        while name in pairs:  # the same system with other devices
             name, again = f"{estimate.name} {again}", again + 1
         pairs[name] = replace(known[user], name=name), estimate
-        pairs[user] = known[user], known[user]  # what is estimated well is to be followed as well
+        pairs[user] = known[user], known[user]  # train on accurate estimates too
     return pairs
 
 
@@ -217,7 +217,7 @@ def _run_stage(
     learnt, validation = split_validation(clips, args.hold_out, preset.validation_clips)
     if args.validation is not None:
         validation = _validation(args, preset)
-    # Each stage has its own stream of random numbers, whether it runs alone or after another.
+    # Each stage has its own random stream, whether it runs alone or after another.
     seed = args.seed + 1000 * list(preset.stages).index(name)
     torch.manual_seed(seed)
 
@@ -295,13 +295,13 @@ def split_validation(
     """Clips to learn from, and the fixed set on which checkpoints are compared.
 
     Args:
-        clips: all.
-        hold_out: styles that are only evaluated on; without any, the fixed set is a part of
-            what is learnt.
+        clips: all clips.
+        hold_out: styles used only for evaluation; without any, the fixed set is a subset of the
+            training clips.
         count: size of the fixed set.
 
     Raises:
-        InputError: if there is no such style, or nothing is left to learn.
+        InputError: no such style, or no training clips are left.
     """
     styles = {style.strip() for style in hold_out.split(",") if style.strip()}
     unknown = styles - {clip.style for clip in clips}
@@ -315,10 +315,10 @@ def split_validation(
 
 
 def _validation(args: TrainArgs, preset: Preset) -> list[Clip]:
-    """The clips of ``--validation``, at most as many as the preset compares checkpoints on.
+    """The clips of ``--validation``, at most the preset's number of validation clips.
 
     Raises:
-        InputError: it cannot be had together with another option.
+        InputError: another option excludes it.
     """
     from questsim.motion.spec import load_motions
 
@@ -340,7 +340,7 @@ def _budget(name: str, args: TrainArgs, preset: Preset) -> Budget:
 
 
 def _both(first: Callable[[int], None] | None, second: Callable[[int], None]) -> Any:
-    """One after the other, before an iteration."""
+    """Call both functions in order, before an iteration."""
 
     def call(steps: int) -> None:
         if first is not None:
@@ -351,7 +351,7 @@ def _both(first: Callable[[int], None] | None, second: Callable[[int], None]) ->
 
 
 def _schedule(config: StageConfig, learner: Learner) -> Any:
-    """Keeps the actor fixed while a new critic learns what it is worth."""
+    """Keeps the actor fixed while a new critic is trained."""
     if not isinstance(learner, AdaptivePPO) or not isinstance(config.learning, PPOConfig):
         return None
     warmup = config.learning.critic_warmup_steps

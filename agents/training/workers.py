@@ -11,13 +11,13 @@ from torch import Tensor
 
 
 class Workers:
-    """Runs independent pieces of torch work side by side, each single-threaded.
+    """Runs independent torch jobs in parallel, each single-threaded.
 
-    PyTorch's own threads split sums and products by their number, and small ones badly: a training
-    would depend on the threads it was given. Pieces that are cut beforehand do not.
+    PyTorch's own threads split sums by thread count, so results would depend on it, and they are
+    slow on small products. Jobs with a fixed split do not have these problems.
 
     Args:
-        threads: above one, pieces run side by side; the results are the same.
+        threads: with more than one, jobs run in parallel; the results are the same.
     """
 
     def __init__(self, threads: int = 1) -> None:
@@ -28,14 +28,14 @@ class Workers:
         )
 
     def run(self, *jobs: Callable[[], Any]) -> list[Any]:
-        """The results of all jobs, in their order; the first error is raised."""
+        """The results of all jobs, in order; raises the first error."""
         if self._pool is None:
             return [job() for job in jobs]
         futures = [self._pool.submit(job) for job in jobs]
         return [future.result() for future in futures]
 
     def by_halves(self, function: Callable[[Tensor], Tensor], rows: Tensor) -> Tensor:
-        """``function`` of the first and of the second half of ``rows``, without gradients."""
+        """``function`` on the first and on the second half of ``rows``, without gradients."""
 
         def of(part: Tensor) -> Tensor:
             with torch.no_grad():
