@@ -547,6 +547,11 @@ class BatchSim:
         self._around.seed(seeds)
         self._sampler.forget()
 
+    @property
+    def sampler(self) -> Sampler:
+        """Where episodes begin; it learns where the policy falls."""
+        return self._sampler
+
     def get_state(self) -> dict[str, Any]:
         """State that determines all later steps: random numbers, sampler, episodes and physics."""
         return {

@@ -47,6 +47,8 @@ class Sampler:
         self.clip_failure = np.full(len(bins), 0.5)
         self.bin_failure = np.full(len(self._clip_of_bin), 0.5)
         self._cumulative: np.ndarray | None = None
+        self.log: list[tuple[np.ndarray, ...]] | None = None
+        """Where a list is put here, it gets the arguments of every ``record``."""
 
     def draw(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Clips and first frames in them, int64 ``(m,)`` each, for numbers ``(m, 2)`` in [0, 1)."""
@@ -71,6 +73,8 @@ class Sampler:
         """Update from ended episodes: clip, first frame in it, frames played, whether it fell."""
         if not self._weighted or len(clips) == 0:
             return
+        if self.log is not None:
+            self.log.append((clips, first, length, fell))
         soon = fell & (length <= HORIZON_FRAMES)
         bins = self._first_bin[clips] + np.minimum(first, self._starts_in_clip[clips] - 1) // (
             BIN_FRAMES

@@ -85,6 +85,10 @@ COMMANDS: dict[str, Command] = {
         "agents.commands.evaluate", "", "EVALUATE",
         "let an agent follow clips and score it",
     ),
+    "compare-runs": Command(
+        "questsim.compare_runs_command", "compare_runs", "CompareRunsArgs",
+        "compare two evaluations clip by clip: intervals, clips that changed sides",
+    ),
     "estimate": Command(
         "agents.comparison.estimate", "estimate", "EstimateArgs",
         "write a library of what a kinematic system makes of motions",

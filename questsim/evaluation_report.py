@@ -176,13 +176,16 @@ def format_table(metrics: Mapping[str, Any], width: int = 100) -> str:
         metrics: what ``metrics.evaluate`` or ``write_report`` returns.
         width: columns of the terminal.
     """
-    whole = Table(title="All clips until the fall, and those completed", title_justify="left")
+    whole = Table(
+        title="All clips until the fall, and those completed (95 % interval over clips)",
+        title_justify="left",
+    )
     whole.add_column("metric")
     for column in ("all", "completed"):
         whole.add_column(column, justify="right")
     for name, label in LABELS.items():
         whole.add_row(
-            label, *(_cell(name, metrics[column][name]) for column in ("all", "completed"))
+            label, *(_with_interval(metrics, column, name) for column in ("all", "completed"))
         )
     console = Console(file=io.StringIO(), width=width, color_system=None, markup=False)
     console.print(whole)
@@ -203,6 +206,15 @@ def _groups(label: str, groups: Mapping[str, Any]) -> Table:
     for group, columns in groups.items():
         table.add_row(group, *(_cell(name, columns["all"][name]) for name in BY_GROUP))
     return table
+
+
+def _with_interval(metrics: Mapping[str, Any], column: str, name: str) -> str:
+    """A figure and, where there are clips enough, its 95 % interval over clips."""
+    cell = _cell(name, metrics[column][name])
+    ends = metrics.get("intervals", {}).get(column, {}).get(name)
+    if ends is None:
+        return cell
+    return f"{cell}  ({_cell(name, ends[0])} to {_cell(name, ends[1])})"
 
 
 def _cell(name: str, value: float | None) -> str:

@@ -20,6 +20,7 @@ from questsim.motion.clip import Clip
 from questsim.motion.kinematics import sole_points
 from questsim.objects import ObjectTrack
 from questsim.skeleton import FEET, FOOT_LINKS, NUM_DOFS, NUM_LINKS
+from questsim.statistics import interval
 
 SCHEMA, SCHEMA_VERSION = "questsim-metrics", 1
 
@@ -227,7 +228,8 @@ def evaluate(
 
     Each group has two columns: ``all``, every clip until its fall, and ``completed``, only clips
     that were followed to their last frame. Where falls are many the second flatters: the hard
-    clips are missing from it.
+    clips are missing from it. ``intervals`` has the 95 % bootstrap interval over clips of each
+    figure of both columns, or None for fewer than 11 clips.
 
     Args:
         rollouts: one a clip.
@@ -244,6 +246,7 @@ def evaluate(
         "version": SCHEMA_VERSION,
         "context": dict(context or {}),
         **_columns(scored),
+        "intervals": _columns(scored, _intervals),
         "by_kind": _by(scored, lambda rollout: rollout.kind),
         "by_style": _by(scored, lambda rollout: rollout.style),
     }
@@ -260,9 +263,27 @@ def _by(scored: _Scored, label: Callable[[Rollout], str]) -> dict[str, Any]:
     }
 
 
-def _columns(scored: _Scored) -> dict[str, Any]:
+def _columns(
+    scored: _Scored, figures: Callable[[_Scored], dict[str, Any]] | None = None
+) -> dict[str, Any]:
     completed = [item for item in scored if item[0].completed]
-    return {"all": _figures(scored), "completed": _figures(completed)}
+    figures = figures or _figures
+    return {"all": figures(scored), "completed": figures(completed)}
+
+
+def _intervals(scored: _Scored) -> dict[str, list[float] | None]:
+    """95 % bootstrap intervals over clips of the figures of ``_figures``."""
+
+    def ends(values: list[np.ndarray]) -> list[float] | None:
+        known = [v for v in values if len(v)]
+        found = interval([v.mean() for v in known], [len(v) for v in known])
+        return None if found is None else list(found)
+
+    success = [np.array([float(rollout.completed)]) for rollout, _ in scored]
+    return {
+        "success": ends(success),
+        **{name: ends([s[name] for _, s in scored]) for name in METRICS},
+    }
 
 
 def _figures(scored: _Scored) -> dict[str, float | int | None]:

@@ -105,7 +105,7 @@ def test_resumed_stage_continues_as_the_interrupted_one_would_have(tmp_path):
     first, again = run(make_stage(tmp_path)), make_stage(tmp_path, seed=9)
     again.resume()
     for stage in (first, again):
-        stage.learner._last_obs = stage.env.reset()  # type: ignore[attr-defined]
+        stage.learner.player.observation = stage.env.reset()  # type: ignore[attr-defined]
         stage.learner.iterate(nothing, 0.0)
     for a, b in zip(
         first.learner.policy.parameters(), again.learner.policy.parameters(), strict=True

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from agents.policy.networks import TorquePolicy
 from agents.policy.policy_agent import PolicyAgent
 from agents.training.learner import StepObserver, TrainingError
+from agents.training.players import StudentPlayer
 from agents.training.workers import Workers
 
 
@@ -60,6 +61,7 @@ class Memory:
     def add(self, observations: Tensor, labels: Tensor) -> None:
         """Add ``n`` states; they replace the oldest ones."""
         capacity = len(self.labels)
+        observations, labels = observations[-capacity:], labels[-capacity:]
         rows = (self._next + torch.arange(len(labels))) % capacity
         self.observations[rows], self.labels[rows] = observations, labels
         self._next = (self._next + len(labels)) % capacity
@@ -102,11 +104,17 @@ class Dagger:
         student.use_bfloat16(True)
         self.num_timesteps = 0
         self.generator = torch.Generator().manual_seed(seed)
-        self.inputs = max(stop for _, stop in student.layout.blocks.values())
-        self.memory = Memory(config.capacity, self.inputs, student.log_std.numel())
+        inputs = max(stop for _, stop in student.layout.blocks.values())
+        self.memory = Memory(config.capacity, inputs, student.log_std.numel())
         self.noise = self.teacher.log_std.detach().exp()
-        self._obs: np.ndarray | None = None
         self._workers = Workers(threads)
+        exploration = config.exploration
+        # Workers elsewhere bring a player of their own.
+        self.player = (
+            env.student_player(self.teacher, student, exploration)  # pyright: ignore
+            if hasattr(env, "student_player")
+            else StudentPlayer(env, self.teacher, student, exploration, seed, self._workers)
+        )
 
     def iterate(self, observe: StepObserver, progress: float) -> dict[str, float]:
         """One rollout and the updates after it.
@@ -129,24 +137,12 @@ class Dagger:
         return max(0.0, 1.0 - self.num_timesteps / max(1, self.config.mix_steps))
 
     def _collect(self, observe: StepObserver) -> None:
-        n = self.env.num_envs
-        if self._obs is None:
-            self._obs = self.env.reset()  # type: ignore[assignment]
-        assert self._obs is not None
-        by_teacher = torch.rand(n, 1, generator=self.generator) < self.beta
-        for _ in range(self.config.rollout_steps):
-            obs = torch.from_numpy(self._obs)
-            # The teacher observes the true motion, also where the student observes an estimate.
-            truth = torch.from_numpy(getattr(self.env, "true_observation", self._obs))
-            label, own = self._workers.run(
-                partial(_mean, self.teacher, truth), partial(_mean, self.policy, obs)
-            )
-            noise = torch.randn(label.shape, generator=self.generator) * self.noise
-            action = torch.where(by_teacher, label, own) + self.config.exploration * noise
-            self.memory.add(obs[:, : self.inputs], label)
-            self._obs, rewards, dones, infos = self.env.step(action.clamp(-1.0, 1.0).numpy())  # type: ignore[assignment]
-            self.num_timesteps += n
+        def after(rewards: np.ndarray, dones: np.ndarray, infos: list[dict[str, Any]]) -> bool:
+            self.num_timesteps += self.env.num_envs
             observe(rewards, dones, infos)
+            return True
+
+        self.memory.add(*self.player.play(self.config.rollout_steps, self.beta, after))
 
     def _learn(self, rate: float) -> dict[str, float]:
         policy, optimizer = self.policy, self.policy.optimizer
@@ -195,6 +191,7 @@ class Dagger:
             "policy": self.policy.state_dict(),
             "optimizer": self.policy.optimizer.state_dict(),
             "generator": self.generator.get_state(),
+            "player": self.player.get_state(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -203,9 +200,4 @@ class Dagger:
         self.policy.load_state_dict(state["policy"])
         self.policy.optimizer.load_state_dict(state["optimizer"])
         self.generator.set_state(state["generator"])
-
-
-def _mean(policy: TorquePolicy, obs: Tensor) -> Tensor:
-    """Mean actions ``(n, 33)``, clipped as the environment clips them."""
-    with torch.no_grad():
-        return policy.action_mean(obs).clamp_(-1.0, 1.0)
+        self.player.set_state(state["player"])

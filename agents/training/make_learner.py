@@ -23,11 +23,12 @@ from questsim.errors import InputError
 from questsim.skeleton import DOFS, NUM_DOFS
 
 if TYPE_CHECKING:
+    from agents.training.cluster import ActorPool
     from agents.training.options import TrainArgs
 
 
 def make_learner(
-    name: str, args: TrainArgs, config: StageConfig, env: QuestVecEnv, seed: int
+    name: str, args: TrainArgs, config: StageConfig, env: QuestVecEnv | ActorPool, seed: int
 ) -> Learner:
     """The learner of a stage, before its first step.
 
@@ -57,7 +58,7 @@ def make_learner(
 
 
 def make_ppo(
-    config: StageConfig, ppo: PPOConfig, env: QuestVecEnv, seed: int, threads: int = 1
+    config: StageConfig, ppo: PPOConfig, env: QuestVecEnv | ActorPool, seed: int, threads: int = 1
 ) -> AdaptivePPO:
     """PPO with a new policy for ``env``."""
     noise = noise_by_joint(DOFS, ppo.noise_legs_and_trunk, ppo.noise_arms_and_neck)
@@ -91,7 +92,11 @@ def make_ppo(
 
 
 def _student(
-    args: TrainArgs, config: StageConfig, learning: DaggerConfig, env: QuestVecEnv, seed: int
+    args: TrainArgs,
+    config: StageConfig,
+    learning: DaggerConfig,
+    env: QuestVecEnv | ActorPool,
+    seed: int,
 ) -> Dagger:
     where = args.teacher or args.out / "teacher"
     teacher = load_policy(find_teacher(where))
@@ -110,8 +115,8 @@ def _student(
     return Dagger(env, teacher, student, learning, seed, args.threads)
 
 
-def _starting_policy(where: Path, env: QuestVecEnv) -> TorquePolicy:
-    """A policy to train further that fits ``env``."""
+def _starting_policy(where: Path, env: QuestVecEnv | ActorPool) -> TorquePolicy:
+    """A policy to train further, which fits ``env``."""
     start = load_policy(find_policy(where))
     start.bind(env)
     return start.policy

@@ -72,7 +72,11 @@ class TrainArgs:
     envs: int | None = None
     """Number of parallel simulations; by default the preset's."""
     threads: int = 2
-    """Threads for physics and networks."""
+    """Threads of physics and networks; with --workers of each worker."""
+    workers: int = 0
+    """Ray workers that share the simulations (docs/scaling.md); 0 for none."""
+    ray: str | None = None
+    """Address of a Ray cluster for --workers, by default one of this machine alone."""
     seed: int = 0
     """Seed of all random numbers."""
     set: tuple[str, ...] = ()

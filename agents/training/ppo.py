@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from copy import deepcopy
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -17,11 +17,32 @@ from torch import Tensor
 from agents.policy.networks import TorquePolicy
 from agents.training.buffers import Targets, TensorRolloutBuffer
 from agents.training.learner import StepObserver, TrainingError
+from agents.training.players import AfterStep, PolicyPlayer, Truncated
 from agents.training.workers import Workers
 
 LEARNING_RATE_RANGE = (1e-6, 3e-3)
 SPENT = 1.5
 """An update ends when its KL divergence reaches this multiple of the desired one."""
+
+
+class Player(Protocol):
+    """What fills a rollout; see ``PolicyPlayer``."""
+
+    observation: np.ndarray | None
+
+    def play(
+        self, policy: TorquePolicy, buffer: TensorRolloutBuffer, after: AfterStep
+    ) -> Truncated | None:
+        """See ``PolicyPlayer.play``."""
+        ...
+
+    def get_state(self) -> dict[str, Any]:
+        """What the next rollout depends on."""
+        ...
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Take up what ``get_state`` gave."""
+        ...
 
 
 class AdaptivePPO(PPO):
@@ -79,6 +100,9 @@ class AdaptivePPO(PPO):
         self._observer: _Observer | None = None
         self.generator = torch.Generator().manual_seed(self.seed or 0)
         self._workers = Workers(threads)
+        # Workers elsewhere bring a player of their own.
+        player = getattr(env, "policy_player", partial(PolicyPlayer, env))
+        self.player: Player = player(self.seed or 0, self._workers)
 
     def collect_rollouts(  # type: ignore[override]
         self,
@@ -88,34 +112,21 @@ class AdaptivePPO(PPO):
         n_rollout_steps: int,
     ) -> bool:
         """Fill the buffer with ``n_rollout_steps`` of each environment; see SB3."""
-        policy, buffer = self.policy, rollout_buffer
-        policy.set_training_mode(False)
+        self.policy.set_training_mode(False)
         callback.on_rollout_start()
-        noise = policy.log_std.detach().exp()
-        truncated: list[tuple[int, int, np.ndarray]] = []
-        assert self._last_obs is not None
-        for t in range(n_rollout_steps):
-            obs = buffer.observations[t]
-            obs.copy_(torch.from_numpy(self._last_obs))
-            mean = self._workers.by_halves(policy.action_mean, obs)
-            action = mean + noise * torch.randn(mean.shape, generator=self.generator)
-            buffer.means[t], buffer.actions[t] = mean, action
-            new_obs, rewards, dones, infos = env.step(action.clamp(-1.0, 1.0).numpy())
-            buffer.rewards[t] = torch.from_numpy(rewards)
-            buffer.dones[t] = torch.from_numpy(dones)
-            ended = np.flatnonzero(dones)
+
+        def after(rewards: np.ndarray, dones: np.ndarray, infos: list[dict[str, Any]]) -> bool:
             if self.ep_info_buffer is not None:
-                self._update_info_buffer([infos[i] for i in ended])
-            for i in ended:
-                if infos[i].get("TimeLimit.truncated", False):
-                    truncated.append((t, int(i), infos[i]["terminal_observation"]))
-            self._last_obs, self._last_episode_starts = new_obs, dones  # type: ignore[assignment]
+                self._update_info_buffer([infos[i] for i in np.flatnonzero(dones)])
             self.num_timesteps += env.num_envs
             if not np.isfinite(rewards).all():
                 raise TrainingError("the reward is not finite", self.num_timesteps)
             callback.update_locals(locals())
-            if not callback.on_step():
-                return False
+            return callback.on_step()
+
+        truncated = self.player.play(self.policy, rollout_buffer, after)
+        if truncated is None:
+            return False
         self._estimate_values(truncated)
         callback.on_rollout_end()
         return True
@@ -139,8 +150,8 @@ class AdaptivePPO(PPO):
             steps, envs, last = zip(*truncated, strict=True)
             values = policy.predict_values(torch.from_numpy(np.stack(last))).squeeze(1)
             buffer.rewards[list(steps), list(envs)] += self.gamma * values
-        assert isinstance(self._last_obs, np.ndarray)
-        last_values = policy.predict_values(torch.from_numpy(self._last_obs)).squeeze(1)
+        assert self.player.observation is not None
+        last_values = policy.predict_values(torch.from_numpy(self.player.observation)).squeeze(1)
         buffer.compute_advantages(last_values)
 
     def train(self) -> None:
@@ -290,8 +301,6 @@ class AdaptivePPO(PPO):
             self._logger = Logger(None, [])
             self._observer = _Observer(observe)
             self._observer.init_callback(self)
-        if self._last_obs is None:
-            self._last_obs = self.env.reset()  # type: ignore[union-attr]
         self._observer.observe = observe
         first_kl, final_kl = self._kl_range
         if first_kl is not None and final_kl is not None:
@@ -315,6 +324,7 @@ class AdaptivePPO(PPO):
             "optimizer": self.policy.optimizer.state_dict(),
             "critic_optimizer": critic.state_dict() if critic is not None else {},
             "generator": self.generator.get_state(),
+            "player": self.player.get_state(),
             "actor_rate": self.actor_rate,
             "rate_is_measured": self._rate_is_measured,
             "updates": self._n_updates,
@@ -328,6 +338,7 @@ class AdaptivePPO(PPO):
         if self.policy.critic_optimizer is not None:
             self.policy.critic_optimizer.load_state_dict(state["critic_optimizer"])
         self.generator.set_state(state["generator"])
+        self.player.set_state(state["player"])
         self.actor_rate = state["actor_rate"]
         self._rate_is_measured = state.get("rate_is_measured", True)
 

@@ -18,6 +18,7 @@ from agents.agent import Needs
 from agents.evaluation.follow import Followed
 from agents.policy.checkpoint import load_resume, save_policy, unpack
 from agents.policy.policy_agent import PolicyAgent
+from agents.training.cluster import with_rates_of
 from agents.training.learner import Learner
 from agents.training.monitor import Display, Monitor, evaluation_figures
 
@@ -115,18 +116,29 @@ class Stage:
     best_score: float = -1.0
     history: list[dict[str, float]] = field(default_factory=list)
 
-    def resume(self) -> None:
-        """Continue from the last checkpoint: steps, networks, optimiser, sampler, random states.
+    def resume(self) -> str | None:
+        """Go on from the last checkpoint: steps, networks, optimiser, sampler, random states.
 
-        The avatars continue their episodes, so PPO ends with the same bits as a run without
-        interruption.
+        The avatars go on with their episodes, so that PPO ends with the bits of a run that was
+        not interrupted; with another number of workers they begin anew.
+
+        Returns:
+            What differs from an uninterrupted run, if anything.
         """
         state = load_resume(self.folder / "last")
         self.learner.load_state_dict(state["learner"])
-        self.env.set_state(unpack(state["env"]))
+        saved = unpack(state["env"])
+        others = len(saved.get("workers", ())) != getattr(self.env, "count", 0)
+        self.env.set_state(with_rates_of(saved, self.env) if others else saved)
         self.budget.spent = state["seconds"]
         self.best_score, self.history = state["best_score"], state["history"]
         torch.set_rng_state(state["torch_random"])
+        return (
+            "another number of workers: episodes begin anew, so the bits are not those of an "
+            "uninterrupted run"
+            if others
+            else None
+        )
 
     def run(self, display: Display, stopper: Stopper) -> None:
         """Train until the budget is used or a stop is requested.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -26,6 +27,7 @@ from agents.run_folder import (
     refuse_existing,
     start_run,
 )
+from agents.training.cluster import ActorPool, BatchSpec, ray_cluster
 from agents.training.fresh_motions import REDRAW_STEPS, FreshMotions, check_share, redrawing
 from agents.training.learner import Learner
 from agents.training.make_learner import make_learner
@@ -34,11 +36,11 @@ from agents.training.options import TrainArgs
 from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PRESETS, PPOConfig, Preset, StageConfig, shown_estimates
 from agents.training.stage import Budget, Stage, Stopper
-from envs import QuestVecEnv
 from envs.config import EnvConfig
 from envs.objects import objects_named
 from envs.pushes import Pushes
 from envs.randomisation import Randomisation
+from envs.sb3 import QuestVecEnv
 from envs.starts import Starts
 from envs.terrain import terrain_named
 from questsim.errors import INTERRUPTED, InputError, at_least
@@ -54,6 +56,8 @@ MAY_DIFFER_ON_RESUME = {
     "resume",
     "stage",
     "threads",
+    "workers",
+    "ray",
     "out",
     "teacher",
     "set",
@@ -100,8 +104,8 @@ def train(args: TrainArgs) -> int:
 
     torch.set_num_threads(1)  # the learners use their own workers; see workers.py
     stopper = Stopper()
-    with only_training(args.out), Display() as display, stopper.listening():
-        display.say(f"preset {args.preset}: {preset.expect}")
+    folder, cluster = only_training(args.out), _cluster(args)
+    with folder, cluster, Display() as display, stopper.listening():
         for name in names:
             _run_stage(name, args, preset, clips, shown, data, display, stopper, begin)
             if stopper.requested:
@@ -130,6 +134,18 @@ def shipped_behind(start: Path | None, teacher: Path | None) -> dict[str, Any]:
     cards = {option: read_card(folder).get("training", {}) for option, folder in found.items()}
     # A run folder has its own record.
     return {option: training for option, training in cards.items() if "stages" in training}
+
+
+def _cluster(args: TrainArgs) -> AbstractContextManager[None]:
+    """The Ray cluster of ``--workers``, if any."""
+    at_least(0, workers=args.workers)
+    if args.workers and args.vary:
+        raise InputError("is not for workers", "--vary", "write a library by questsim motions vary")
+    if args.workers:
+        return ray_cluster(args.ray, args.workers * args.threads)
+    if args.ray is not None:
+        raise InputError("is for workers", "--ray", "add --workers N")
+    return nullcontext()
 
 
 def _outcome(out: Path) -> str:
@@ -227,7 +243,9 @@ def _run_stage(
     count = preset.num_envs if args.envs is None else args.envs
     fresh = FreshMotions(learnt, args.vary, args.redraw or REDRAW_STEPS, seed)
     draw = fresh.last(args.out / name / "last") if args.resume else 0
-    env = QuestVecEnv(fresh.at(draw), env_config, count, seed + draw, args.threads, seen(learnt))
+    part = seen(learnt)
+    batch = BatchSpec(fresh.at(draw), env_config, count, seed + draw, args.threads, part)
+    env = batch.make() if args.workers == 0 else ActorPool(batch, args.workers)
     sim = evaluation_sim(
         validation,
         replace(env_config, fixed_start=True, max_error_m=EnvConfig().max_error_m),
@@ -259,11 +277,13 @@ def _run_stage(
             must_improve=name == "finetune",
             before_iteration=_schedule(config, learner),
         )
-        if args.vary:
+        if args.vary and isinstance(env, QuestVecEnv):
             redraw = redrawing(fresh, env, learner, draw, stage.beside)
             stage.before_iteration = _both(stage.before_iteration, redraw)
         if args.resume and (stage.folder / "last" / CARD_FILE).exists():
-            stage.resume()
+            notice = stage.resume()
+            if notice is not None:
+                display.say(notice)
         begin()
         stage.run(display, stopper)
     finally:

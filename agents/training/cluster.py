@@ -1,0 +1,567 @@
+"""A batch of avatars spread over Ray actors: each plays a whole rollout, the learner stays one.
+
+Between two updates a worker gets the policy's weights once and returns a rollout once. With the
+rollout it returns its state, so that a worker that died is replaced and plays the same rollout
+again, with the same bits.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from stable_baselines3.common.vec_env import VecEnv
+from torch import Tensor
+
+from agents.policy.networks import TorquePolicy
+from agents.run_folder import versions
+from agents.training.buffers import TensorRolloutBuffer
+from agents.training.players import AfterStep, PolicyPlayer, StudentPlayer, Truncated
+from agents.training.workers import Workers
+from envs.config import EnvConfig
+from envs.sb3 import QuestVecEnv
+from questsim.errors import InputError
+from questsim.motion.clip import Clip
+from questsim.skeleton import NUM_DOFS
+
+SEED_STEP = 1_000_003
+"""Between the seeds of two workers: the first has the seed of a training without workers."""
+ATTEMPTS = 5
+"""So often a worker is replaced within one rollout before the training gives up."""
+Weights = dict[str, np.ndarray]
+ROLLOUT = ("observations", "actions", "means", "rewards", "dones")
+"""What a policy's rollout has of each step and avatar, as ``TensorRolloutBuffer`` names it."""
+
+
+@dataclass(frozen=True)
+class BatchSpec:
+    """What a batch of avatars is made of; see ``QuestVecEnv``."""
+
+    clips: Sequence[Clip]
+    config: EnvConfig
+    num_envs: int
+    seed: int
+    threads: int = 1
+    shown: Sequence[Clip] | None = None
+
+    def make(self) -> QuestVecEnv:
+        """The batch."""
+        return QuestVecEnv(
+            self.clips, self.config, self.num_envs, self.seed, self.threads, self.shown
+        )
+
+
+@dataclass(frozen=True)
+class Played:
+    """What a worker returns of one rollout of ``T`` steps of ``n`` avatars.
+
+    Attributes:
+        arrays: by name, each ``(T, n, ...)``; a student's are ``(T * n, ...)``.
+        rewards, dones: ``(T, n)``.
+        terms: ``(T, n, terms)`` of the reward.
+        ended: of each step the environments whose episode ended, with their infos.
+        truncated: of the rollout, see ``Truncated``.
+        episodes: arguments of ``Sampler.record``, in order.
+        observation: ``(n, D)`` after the last step.
+        state: of the worker afterwards.
+        unstable: simulations that failed so far.
+    """
+
+    arrays: dict[str, np.ndarray]
+    rewards: np.ndarray
+    dones: np.ndarray
+    terms: np.ndarray
+    ended: list[list[tuple[int, dict[str, Any]]]]
+    truncated: Truncated
+    episodes: list[tuple[np.ndarray, ...]]
+    observation: np.ndarray
+    state: dict[str, Any]
+    unstable: int
+
+
+class RolloutWorker:
+    """Plays a part of the batch; a Ray actor, and the same without Ray.
+
+    Args:
+        batch: its part.
+    """
+
+    def __init__(self, batch: BatchSpec) -> None:
+        torch.set_num_threads(1)
+        self.env = batch.make()
+        self._seed, self._threads = batch.seed, Workers(batch.threads)
+        self._player: PolicyPlayer | StudentPlayer | None = None
+        self._policy: TorquePolicy | None = None
+        self._buffer: TensorRolloutBuffer | None = None
+        self.env.sim.sampler.log = []
+        self._sampler = self.env.sim.sampler.get_state()
+
+    def describe(self) -> dict[str, Any]:
+        """What a learner asks of an environment, and the versions that this worker runs."""
+        env = self.env
+        return {
+            "layout": dict(env.layout),
+            "size": env.observation_space.shape[0],  # type: ignore[index]
+            "torque_limits": env.torque_limits,
+            "damping": env.damping,
+            "reward_names": tuple(env.reward_names),
+            "versions": versions(),
+        }
+
+    def pid(self) -> int:
+        """Its process."""
+        return os.getpid()
+
+    def learn_policy(self, policy: TorquePolicy) -> None:
+        """Get ready to play a policy's rollouts."""
+        self._policy = policy
+        self.env.seed(self._seed)  # as stable-baselines3 does with an environment of its own
+        self._player = PolicyPlayer(self.env, self._seed, self._threads)
+
+    def learn_student(
+        self, teacher: TorquePolicy, student: TorquePolicy, exploration: float
+    ) -> None:
+        """Get ready to play a student's rollouts."""
+        self._policy = student
+        self._player = StudentPlayer(
+            self.env, teacher, student, exploration, self._seed, self._threads
+        )
+
+    def play(
+        self, weights: Weights, episodes: list[tuple[np.ndarray, ...]], steps: int, share: float
+    ) -> Played:
+        """Play one rollout.
+
+        Args:
+            weights: of the policy.
+            episodes: that ended in all workers since the last rollout, in the workers' order.
+            steps: of each avatar.
+            share: of avatars that a teacher drives.
+        """
+        assert self._policy is not None
+        assert self._player is not None
+        load_weights(self._policy, weights)
+        self._merge(episodes)
+        kept = _Kept(self.env)
+        truncated: Truncated = []
+        if isinstance(self._player, PolicyPlayer):
+            buffer = self._buffer_of(steps)
+            truncated = self._player.play(self._policy, buffer, kept.after) or []
+            arrays = {name: getattr(buffer, name).numpy() for name in ROLLOUT}
+        else:
+            visited, labels = self._player.play(steps, share, kept.after)
+            arrays = {"visited": visited.numpy(), "labels": labels.numpy()}
+        sampler, observation = self.env.sim.sampler, self._player.observation
+        assert observation is not None
+        ended, sampler.log = sampler.log, []
+        return Played(
+            arrays=arrays,
+            rewards=np.stack(kept.rewards),
+            dones=np.stack(kept.dones),
+            terms=np.stack(kept.terms),
+            ended=kept.ended,
+            truncated=truncated,
+            episodes=ended or [],
+            observation=observation,
+            state=self.get_state(),
+            unstable=int(self.env.sim.unstable_count),
+        )
+
+    def _merge(self, episodes: list[tuple[np.ndarray, ...]]) -> None:
+        """Let the sampler know the episodes of all workers, as if one had seen them all."""
+        sampler = self.env.sim.sampler
+        sampler.set_state(self._sampler)
+        sampler.log = None
+        for ended in episodes:
+            sampler.record(*ended)
+        sampler.log = []
+        self._sampler = sampler.get_state()
+
+    def _buffer_of(self, steps: int) -> TensorRolloutBuffer:
+        if self._buffer is None or len(self._buffer.rewards) != steps:
+            spaces = self.env.observation_space, self.env.action_space
+            self._buffer = TensorRolloutBuffer(steps, *spaces, n_envs=self.env.num_envs)  # type: ignore[arg-type]
+        return self._buffer
+
+    def get_state(self) -> dict[str, Any]:
+        """What the coming rollouts depend on, beside weights and episodes."""
+        player = self._player
+        noise = None if player is None else player.generator.get_state().numpy().copy()
+        return {"env": self.env.get_state(), "noise": noise, "sampler": self._sampler}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Take up what ``get_state`` gave."""
+        self.env.set_state(state["env"])
+        self._sampler = {name: np.array(rates) for name, rates in state["sampler"].items()}
+        if self._player is not None and state["noise"] is not None:
+            self._player.generator.set_state(torch.as_tensor(np.array(state["noise"])))
+            self._player.observation = None  # the restored episodes go on
+
+
+class _Kept:
+    """What a learner's monitor wants to know of each step."""
+
+    def __init__(self, env: QuestVecEnv) -> None:
+        self._env = env
+        self.rewards: list[np.ndarray] = []
+        self.dones: list[np.ndarray] = []
+        self.terms: list[np.ndarray] = []
+        self.ended: list[list[tuple[int, dict[str, Any]]]] = []
+
+    def after(self, rewards: np.ndarray, dones: np.ndarray, infos: list[dict[str, Any]]) -> bool:
+        """Keep a step; the last observations of episodes are kept by the player."""
+        self.rewards.append(rewards)
+        self.dones.append(dones)
+        self.terms.append(np.asarray(self._env.reward_terms, np.float32).copy())
+        self.ended.append(
+            [
+                (int(i), {k: v for k, v in infos[i].items() if k != "terminal_observation"})
+                for i in np.flatnonzero(dones)
+            ]
+        )
+        return True
+
+
+def weights_of(policy: TorquePolicy) -> Weights:
+    """What acting depends on: networks, normaliser and noise, without the critic."""
+    state = policy.state_dict()
+    return {k: v.numpy().copy() for k, v in state.items() if not k.startswith("critic.")}
+
+
+def load_weights(policy: TorquePolicy, weights: Weights) -> None:
+    """Give a policy the weights of ``weights_of``."""
+    state = {name: torch.as_tensor(np.array(value)) for name, value in weights.items()}
+    policy.load_state_dict(state, strict=False)
+
+
+class ActorPool(VecEnv):
+    """The workers, with the face of one batch that learners and checkpoints know.
+
+    It is never stepped: ``policy_player`` and ``student_player`` play whole rollouts.
+
+    Args:
+        batch: the whole batch; each worker gets an equal part.
+        count: workers.
+
+    Raises:
+        InputError: the avatars cannot be shared out equally, or a worker has other versions.
+    """
+
+    def __init__(self, batch: BatchSpec, count: int) -> None:
+        import ray
+
+        if batch.num_envs % count:
+            raise InputError(
+                f"{batch.num_envs} environments cannot be shared equally by {count} workers",
+                "--workers",
+                f"take a multiple of {count}, as in --envs {count * -(-batch.num_envs // count)}",
+            )
+        wanted, found = count * batch.threads, int(ray.cluster_resources().get("CPU", 0))
+        if wanted > found:
+            raise InputError(
+                f"{count} workers of {batch.threads} threads want {wanted} cores, the cluster has "
+                f"{found}",
+                "--workers",
+                "take fewer workers or threads, or add nodes",
+            )
+        self._ray = ray
+        self._part = batch.num_envs // count
+        shared = ray.put(replace(batch, num_envs=self._part))
+        self._make = lambda k: _actor(ray, batch.threads).remote(shared, batch.seed + SEED_STEP * k)
+        self._actors: list[Any] = [self._make(k) for k in range(count)]
+        self._states: list[dict[str, Any] | None] = [None] * count
+        self._ready: list[tuple[str, tuple[Any, ...]]] = []
+        self._episodes: list[tuple[np.ndarray, ...]] = []
+        about = self._all(lambda actor: actor.call.remote("describe"))
+        self._check_versions([a.pop("versions") for a in about])
+        self.layout: dict[str, slice] = about[0]["layout"]
+        self.torque_limits: np.ndarray = about[0]["torque_limits"]
+        self.damping: np.ndarray = about[0]["damping"]
+        self.render_mode, self.config = None, batch.config
+        self.reward_names: tuple[str, ...] = about[0]["reward_names"]
+        self.reward_terms = np.zeros((batch.num_envs, len(self.reward_names)))
+        self.unstable_count = 0
+        self.bytes_a_rollout = 0
+        super().__init__(
+            batch.num_envs,
+            gym.spaces.Box(-np.inf, np.inf, (about[0]["size"],), np.float32),
+            gym.spaces.Box(-1.0, 1.0, (NUM_DOFS,), np.float32),
+        )
+
+    @property
+    def count(self) -> int:
+        """How many workers there are."""
+        return len(self._actors)
+
+    @staticmethod
+    def _check_versions(found: list[dict[str, str]]) -> None:
+        own = versions()
+        for number, other in enumerate(found):
+            for name, version in own.items():
+                if other.get(name) != version:
+                    raise InputError(
+                        f"has {name} {other.get(name)}, the learner has {version}",
+                        f"worker {number}",
+                        "install the same versions on every node",
+                    )
+
+    def _all(self, call: Callable[[Any], Any]) -> list[Any]:
+        """The results of a call of every worker, in their order."""
+        references = [call(actor) for actor in self._actors]
+        return [self._result(k, ref, call) for k, ref in enumerate(references)]
+
+    def _result(self, k: int, reference: Any, call: Callable[[Any], Any]) -> Any:
+        from ray import exceptions as errors
+
+        for _ in range(ATTEMPTS):
+            try:
+                return self._ray.get(reference)
+            except errors.RayTaskError as error:
+                cause = error.cause
+                if isinstance(cause, InputError):
+                    raise cause from None
+                raise
+            except (errors.RayActorError, errors.ObjectLostError, errors.OwnerDiedError):
+                self._replace(k)
+                reference = call(self._actors[k])
+        fix = "see Ray's logs; a worker may need more memory than its node has (fewer --envs)"
+        raise InputError(f"died {ATTEMPTS} times in one rollout", f"worker {k}", fix)
+
+    def _replace(self, k: int) -> None:
+        """Put a new worker in the place of a dead one, in the state that it had last."""
+        actor = self._actors[k] = self._make(k)
+        for method, args in self._ready:
+            actor.call.remote(method, *args)
+        if self._states[k] is not None:
+            actor.call.remote("set_state", self._states[k])
+
+    def get_ready(self, method: str, *args: Any) -> None:
+        """Call a worker's ``learn_...`` everywhere, now and for each that takes another's place."""
+        self._ready = [(method, tuple(self._ray.put(arg) for arg in args))]
+        self._all(lambda actor: actor.call.remote(method, *self._ready[0][1]))
+        for k, state in enumerate(self._states):
+            if state is not None:
+                self._actors[k].call.remote("set_state", state)
+
+    def play(
+        self, policy: TorquePolicy, steps: int, share: float, after: AfterStep
+    ) -> list[Played]:
+        """One rollout of every worker; ``after`` is called as if one batch had been stepped."""
+        weights, episodes = self._ray.put(weights_of(policy)), self._ray.put(self._episodes)
+        played: list[Played] = self._all(
+            lambda actor: actor.call.remote("play", weights, episodes, steps, share)
+        )
+        self._states = [part.state for part in played]
+        self._episodes = [ended for part in played for ended in part.episodes]
+        self.unstable_count = sum(part.unstable for part in played)
+        self.bytes_a_rollout = sum(a.nbytes for part in played for a in part.arrays.values())
+        for t in range(steps):
+            infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+            for k, part in enumerate(played):
+                for i, info in part.ended[t]:
+                    infos[k * self._part + i] = info
+            self.reward_terms = np.concatenate([part.terms[t] for part in played])
+            rewards = np.concatenate([part.rewards[t] for part in played])
+            after(rewards, np.concatenate([part.dones[t] for part in played]), infos)
+        return played
+
+    def policy_player(self, seed: int, workers: Workers) -> RemotePolicyPlayer:
+        """What plays a policy's rollouts; seed and threads are the workers' own."""
+        return RemotePolicyPlayer(self)
+
+    def student_player(
+        self, teacher: TorquePolicy, student: TorquePolicy, exploration: float
+    ) -> RemoteStudentPlayer:
+        """What plays a student's rollouts."""
+        return RemoteStudentPlayer(self, teacher, student, exploration)
+
+    def get_state(self) -> dict[str, Any]:
+        """The state of every worker, and the episodes that they do not know of each other yet."""
+        states = self._states
+        if any(state is None for state in states):
+            states = self._all(lambda actor: actor.call.remote("get_state"))
+        return {"workers": states, "episodes": [list(ended) for ended in self._episodes]}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Take up what ``get_state`` gave, of as many workers."""
+        self._states = list(state["workers"])
+        self._episodes = [tuple(np.asarray(a) for a in e) for e in state["episodes"]]
+        for actor, part in zip(self._actors, self._states, strict=True):
+            actor.call.remote("set_state", part)
+
+    def close(self) -> None:
+        """End the workers."""
+        for actor in self._actors:
+            self._ray.kill(actor)
+        self._actors = []
+
+    # A VecEnv must have these; a learner with workers never steps.
+
+    def reset(self) -> np.ndarray:
+        """Not available."""
+        raise NotImplementedError("workers play whole rollouts")
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Not available."""
+        raise NotImplementedError("workers play whole rollouts")
+
+    def step_wait(self) -> Any:
+        """Not available."""
+        raise NotImplementedError("workers play whole rollouts")
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """The attribute of the pool, once for each environment asked for."""
+        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Not available."""
+        raise NotImplementedError("workers play whole rollouts")
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> Any:
+        """Not available."""
+        raise NotImplementedError("workers play whole rollouts")
+
+    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: Any = None) -> list[bool]:
+        """Nothing is wrapped."""
+        return [False for _ in self._get_indices(indices)]
+
+
+def with_rates_of(saved: dict[str, Any], env: QuestVecEnv | ActorPool) -> dict[str, Any]:
+    """The state of an environment as it is, with the failure rates of another's saved state.
+
+    Args:
+        saved: of another number of workers, or of none.
+        env: where the training goes on.
+    """
+    rates = saved["workers"][0]["sampler"] if "workers" in saved else saved["sampler"]
+    state = env.get_state()
+    if not isinstance(env, ActorPool):
+        return state | {"sampler": rates}
+    workers = [
+        part | {"sampler": rates, "env": part["env"] | {"sampler": rates}}
+        for part in state["workers"]
+    ]
+    return {"workers": workers, "episodes": saved.get("episodes", [])}
+
+
+class RemotePolicyPlayer:
+    """``PolicyPlayer`` on the workers of a pool."""
+
+    def __init__(self, pool: ActorPool) -> None:
+        self._pool, self._ready = pool, False
+        self.observation: np.ndarray | None = None
+
+    def play(
+        self, policy: TorquePolicy, buffer: TensorRolloutBuffer, after: AfterStep
+    ) -> Truncated | None:
+        """See ``PolicyPlayer.play``; a rollout of workers is not ended early."""
+        if not self._ready:
+            self._pool.get_ready("learn_policy", policy)
+            self._ready = True
+        played = self._pool.play(policy, len(buffer.rewards), 0.0, after)
+        width = buffer.rewards.shape[1] // len(played)
+        truncated: Truncated = []
+        for k, part in enumerate(played):
+            columns = slice(k * width, (k + 1) * width)
+            for name in ROLLOUT:
+                getattr(buffer, name)[:, columns] = torch.as_tensor(np.array(part.arrays[name]))
+            truncated += [(t, k * width + i, last) for t, i, last in part.truncated]
+        self.observation = np.concatenate([part.observation for part in played])
+        return sorted(truncated, key=lambda entry: entry[:2])
+
+    def get_state(self) -> dict[str, Any]:
+        """Nothing: the pool has it."""
+        return {}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Nothing: the pool has it."""
+
+
+class RemoteStudentPlayer:
+    """``StudentPlayer`` on the workers of a pool."""
+
+    def __init__(
+        self, pool: ActorPool, teacher: TorquePolicy, student: TorquePolicy, exploration: float
+    ) -> None:
+        self._pool, self._student = pool, student
+        self._args = (teacher, student, exploration)
+        self._ready = False
+
+    def play(self, steps: int, teacher_share: float, after: AfterStep) -> tuple[Tensor, Tensor]:
+        """See ``StudentPlayer.play``."""
+        if not self._ready:
+            self._pool.get_ready("learn_student", *self._args)
+            self._ready = True
+        played = self._pool.play(self._student, steps, teacher_share, after)
+        return tuple(  # type: ignore[return-value]
+            torch.cat([torch.as_tensor(np.array(part.arrays[name])) for part in played])
+            for name in ("visited", "labels")
+        )
+
+    def get_state(self) -> dict[str, Any]:
+        """Nothing: the pool has it."""
+        return {}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Nothing: the pool has it."""
+
+
+def _actor(ray: Any, threads: int) -> Any:
+    """The class of the workers as a Ray actor that takes so many cores."""
+
+    class Worker:
+        def __init__(self, batch: BatchSpec, seed: int) -> None:
+            self.worker = RolloutWorker(replace(batch, seed=seed))
+
+        def call(self, method: str, *args: Any) -> Any:
+            return getattr(self.worker, method)(*args)
+
+    return ray.remote(num_cpus=threads)(Worker)
+
+
+@contextmanager
+def ray_cluster(address: str | None, cores: int) -> Iterator[None]:
+    """A Ray cluster for a while: one of this machine alone, or one that is there.
+
+    Args:
+        address: of a cluster, or None for one of this machine, which listens on loopback alone.
+        cores: that the workers want of this machine.
+
+    Raises:
+        InputError: Ray is not installed, or nothing answers at the address.
+    """
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    if address is None:
+        # Ray puts a node that must not be joined on loopback under this setting alone.
+        os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
+    else:
+        os.environ.setdefault("RAY_AUTH_MODE", "token")
+    try:
+        import ray
+    except ModuleNotFoundError:
+        fix = "pip install 'questsim[cluster]'"
+        raise InputError("needs Ray, which is not installed", "--workers", fix) from None
+    began = not ray.is_initialized()
+    if began:
+        quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+        try:
+            if address is None:
+                ray.init(num_cpus=cores, include_dashboard=False, **quiet)
+            else:
+                ray.init(address=address, **quiet)
+        except (ConnectionError, ValueError, RuntimeError) as error:
+            reason = str(error).splitlines()[0][:200]
+            what = f"no Ray cluster answers there: {reason}"
+            fix = "start it by: ray start --head (docs/scaling.md)"
+            raise InputError(what, f"--ray {address}", fix) from None
+    try:
+        yield
+    finally:
+        if began:
+            ray.shutdown()

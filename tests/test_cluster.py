@@ -1,0 +1,149 @@
+"""A training spread over workers: the same bits as without, and nothing lost with a worker."""
+
+from __future__ import annotations
+
+import os
+import signal
+from dataclasses import replace
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+import torch
+from learners import QUICK, SMALL, nothing
+
+from agents.training.cluster import BatchSpec, RolloutWorker, ray_cluster, weights_of
+from agents.training.make_learner import make_ppo
+from agents.training.presets import StageConfig
+from envs.config import EnvConfig
+from questsim.cli import main
+from questsim.errors import InputError
+from questsim.motion.spec import load_motions
+
+STEPS = 4
+CONFIG = StageConfig(1.0, SMALL, replace(QUICK, rollout_steps=STEPS, minibatch=32, epochs=1))
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="module")
+def batch() -> BatchSpec:
+    clips = load_motions("synthetic:stand+wave")[:3]
+    return BatchSpec(clips, EnvConfig(privileged=True, sampling="failure"), 4, seed=3)
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    if find_spec("ray") is None:
+        pytest.skip("Ray is not installed")
+    with ray_cluster(None, 2):
+        import ray
+
+        yield ray
+
+
+def trained(env, iterations: int = 3, after=lambda done: None) -> dict[str, np.ndarray]:
+    ppo = make_ppo(CONFIG, CONFIG.learning, env, 3)  # type: ignore[arg-type]
+    for done in range(iterations):
+        ppo.iterate(nothing, 0.0)
+        after(done)
+    return weights_of(ppo.policy)
+
+
+def same(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> bool:
+    return one.keys() == other.keys() and all(np.array_equal(one[k], other[k]) for k in one)
+
+
+def test_a_worker_in_the_state_of_another_plays_the_same_rollout(batch):
+    ppo = make_ppo(CONFIG, CONFIG.learning, batch.make(), 3)  # type: ignore[arg-type]
+    weights = weights_of(ppo.policy)
+    one, other = RolloutWorker(batch), RolloutWorker(replace(batch, seed=99))
+    for worker in (one, other):
+        worker.learn_policy(ppo.policy)
+    first = one.play(weights, [], STEPS, 0.0)
+    other.play(weights, [], STEPS, 0.0)
+    other.set_state(first.state)
+    second = [worker.play(weights, first.episodes, STEPS, 0.0) for worker in (one, other)]
+    for name in second[0].arrays:
+        assert np.array_equal(second[0].arrays[name], second[1].arrays[name])
+    assert np.array_equal(second[0].rewards, second[1].rewards)
+
+
+def test_the_sampler_of_a_worker_knows_the_falls_of_all(batch):
+    worker, sampler = RolloutWorker(batch), batch.make().sim.sampler
+    fall = (np.array([1]), np.array([0]), np.array([5]), np.array([True]))
+    sampler.record(*fall)
+    ppo = make_ppo(CONFIG, CONFIG.learning, batch.make(), 3)  # type: ignore[arg-type]
+    worker.learn_policy(ppo.policy)
+    worker.play(weights_of(ppo.policy), [fall], 1, 0.0)
+    assert worker._sampler["clip_failure"][1] == sampler.clip_failure[1] > 0.5
+
+
+def test_one_worker_gives_the_bits_of_none(batch, cluster):
+    from agents.training.cluster import ActorPool
+
+    expected = trained(batch.make())
+    pool = ActorPool(batch, 1)
+    assert same(trained(pool), expected)
+    pool.close()
+
+
+@pytest.mark.parametrize("victim", [0, 1])
+def test_a_killed_worker_is_replaced_and_plays_the_same_again(batch, cluster, victim):
+    from agents.training.cluster import ActorPool
+
+    pool = ActorPool(batch, 2)
+    expected = trained(pool)
+    pool.close()
+    pool = ActorPool(batch, 2)
+
+    def kill(done: int) -> None:
+        if done == 1:
+            os.kill(cluster.get(pool._actors[victim].call.remote("pid")), signal.SIGKILL)
+
+    assert same(trained(pool, after=kill), expected)
+    pool.close()
+
+
+def test_a_cluster_of_one_machine_stays_on_loopback(cluster):
+    assert cluster.util.get_node_ip_address() == "127.0.0.1"
+
+
+def test_a_batch_that_cannot_be_shared_out_is_refused(batch, cluster):
+    from agents.training.cluster import ActorPool
+
+    with pytest.raises(InputError, match="multiple of 3, as in --envs 6"):
+        ActorPool(batch, 3)
+
+
+def test_more_workers_than_cores_are_refused(batch, cluster):
+    from agents.training.cluster import ActorPool
+
+    with pytest.raises(InputError, match="want 4 cores, the cluster has 2"):
+        ActorPool(batch, 4)
+
+
+def test_train_py_trains_with_workers_and_goes_on_with_others(tmp_path, cluster, capsys):
+    out = tmp_path / "run"
+    line = (
+        f"train --preset smoke --stage teacher --motions synthetic:stand --envs 4 --threads 1"
+        f" --out {out} --set stages.teacher.learning.rollout_steps=4"
+        " stages.teacher.learning.minibatch=16 validation_clips=1"
+    )
+    assert main([*line.split(), "--steps", "32", "--workers", "2"]) == 0
+    assert (out / "teacher" / "last" / "policy.yaml").is_file()
+    assert "anew" not in capsys.readouterr().out
+    assert main([*line.split(), "--steps", "64", "--workers", "2", "--resume"]) == 0
+    assert "anew" not in capsys.readouterr().out
+    assert main([*line.split(), "--steps", "96", "--resume"]) == 0
+    assert "another number of workers: episodes begin anew" in capsys.readouterr().out
+
+
+def test_a_cluster_without_workers_is_refused(tmp_path, capsys):
+    line = f"train --preset smoke --out {tmp_path / 'run'} --ray localhost:6379"
+    assert main(line.split()) == 2
+    assert "--ray: is for workers; add --workers N" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
