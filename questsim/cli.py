@@ -41,6 +41,14 @@ COMMANDS: dict[str, Command] = {
         "agents.live.demo", "play", "PlayArgs",
         "watch a training's newest policy, while it learns",
     ),
+    "live": Command(
+        "agents.headset.command", "live", "LiveArgs",
+        "put on a headset and be the avatar: a page for the headset's browser",
+    ),
+    "record": Command(
+        "agents.headset.command", "record", "RecordArgs",
+        "the same, and write what the devices report to a file",
+    ),
     "replay": Command(
         "agents.follower.replay", "replay", "ReplayArgs",
         "let the avatar follow a recording of a headset and controllers",

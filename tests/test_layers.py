@@ -18,7 +18,7 @@ ALLOWED = {ROOT / "questsim" / "cli.py"}
 ORDER = (
     "precision", "overrides", "licence", "run_folder", "agent", "resolve", "policy", "loading",
     "evaluation", "training", "kinematic", "comparison", "shipping", "live",
-    "follower", "commands",
+    "follower", "headset", "commands",
 )  # fmt: skip
 """Folders and modules of ``agents``: each imports only those before it."""
 

@@ -1,0 +1,1 @@
+"""``questsim live``: a person with a headset, the avatar, and the page that shows it."""

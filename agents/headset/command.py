@@ -1,0 +1,234 @@
+"""``questsim live``: the avatar of a person with a headset."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import secrets
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+import tyro
+
+from agents.follower.calibration import POSES, Calibration
+from agents.follower.follower import Follower
+from agents.headset.session import LiveSession
+from questsim.avatar_pose import AvatarPose
+from questsim.devices import DeviceFrame
+from questsim.errors import InputError, at_least
+from questsim.exporting.formats import needs
+from questsim.recordings import Recording, RecordingWriter, read_recording
+from questsim.viewing.page_server import LOOPBACK, check_address, is_loopback
+
+DEFAULT_PORT = 8085
+ASSIST_N = 100.0
+
+
+@dataclass(frozen=True)
+class LiveArgs:
+    """Put on a headset and be the avatar: a page for the headset's browser."""
+
+    agent: str = "questsim-now"
+    """A policy, a kinematic system, or one with +physics after its name."""
+    sensors: str | None = None
+    """Set of devices, e.g. H+2C or H; by default the agent's own."""
+    height: float | None = None
+    """Stature of the user in metres; by default measured."""
+    pose: str = "hanging"
+    """How the user stands during the calibration: hanging or a-pose."""
+    calibration: Path | None = None
+    """What Calibration.save wrote, instead of measuring."""
+    assist: float = ASSIST_N
+    """Greatest force in N that may help the avatar's balance; 0 for honest physics."""
+    replay: Path | None = None
+    """Let this recording drive instead of a page; pages watch."""
+    record: Path | None = None
+    """Write what the devices report to this file, .jsonl.gz."""
+    vmc: str | None = None
+    """Send the avatar to a VMC marionette at HOST:PORT, e.g. 127.0.0.1:39539."""
+    vrchat: str | None = None
+    """Send trackers to VRChat at HOST:PORT, e.g. 127.0.0.1:9000."""
+    vmc_in: int | None = None
+    """Let a VMC program drive over OSC at this port of this machine, e.g. 39540; pages watch."""
+    host: str = LOOPBACK
+    """Where to listen; anything else than the default uses TLS and a token."""
+    port: int = DEFAULT_PORT
+    """The page's port; 0 takes any free one."""
+    cert: Path | None = None
+    """A certificate (PEM) for TLS; by default one is made on the spot where TLS is needed."""
+    key: Path | None = None
+    """The certificate's key (PEM)."""
+
+
+@dataclass(frozen=True)
+class RecordArgs(LiveArgs):
+    """The same, and write what the devices report to a file."""
+
+    out: tyro.conf.Positional[Path] = Path("recording.jsonl.gz")
+    """The recording, .jsonl.gz."""
+
+
+def record(args: RecordArgs) -> None:
+    """Serve the page and record until Ctrl-C.
+
+    Raises:
+        InputError: see ``live``.
+    """
+    if args.record is not None:
+        raise InputError("the file is named without it", "--record")
+    live(args, args.out)
+
+
+def live(args: LiveArgs, out: Path | None = None) -> None:
+    """Serve the page until Ctrl-C.
+
+    Raises:
+        InputError: the page is not built, or an agent, file, address or option cannot be used.
+    """
+    for package in ("aiohttp", "pygltflib", "pythonosc", "trustme"):
+        needs(package, "questsim live")
+    from agents.headset.server import check_page
+
+    check_page()
+    _check(args)
+    torch.set_num_threads(1)
+    recording = None if args.replay is None else read_recording(args.replay)
+    calibration = None if args.calibration is None else Calibration.load(args.calibration)
+    if calibration is None and recording is not None and recording.calibration is not None:
+        calibration = Calibration.of(recording.calibration)
+    follower = Follower(args.agent, args.sensors, assist_n=args.assist)
+    with ExitStack() as stack:
+        heed_frame, count = _recorder(stack, out or args.record)
+        make = _session_maker(args, follower, calibration, heed_frame)
+        asyncio.run(_serve(args, make, recording))
+        if count is not None:
+            print(f"{count()} frames in {out or args.record}", file=sys.stderr)
+
+
+def _check(args: LiveArgs) -> None:
+    at_least(0, assist=args.assist)
+    if args.pose not in POSES:
+        raise InputError(f"is {args.pose!r}, not one of {', '.join(POSES)}", "--pose")
+    if args.calibration is not None and args.height is not None:
+        raise InputError("the calibration has a stature", "--height", "leave one of them out")
+    if args.replay is not None and args.vmc_in is not None:
+        raise InputError("does not go with --replay", "--vmc-in", "give one of them")
+    check_address(args.host, args.port)
+
+
+def _recorder(
+    stack: ExitStack, path: Path | None
+) -> tuple[Callable[[DeviceFrame], None] | None, Callable[[], int] | None]:
+    """What writes frames, and how many it has written."""
+    if path is None:
+        return None, None
+    writer = stack.enter_context(RecordingWriter(path, "openxr"))
+    last = -1.0
+
+    def write(frame: DeviceFrame) -> None:
+        nonlocal last
+        if frame.time_s > last:  # a file's times go forward; another driver's clock may not
+            last = frame.time_s
+            writer.write(frame)
+
+    return write, lambda: writer.count
+
+
+def _session_maker(
+    args: LiveArgs,
+    follower: Follower,
+    calibration: Calibration | None,
+    heed_frame: Callable[[DeviceFrame], None] | None,
+) -> Callable[..., LiveSession]:
+    from questsim.osc.senders import VMC_PORT, VRCHAT_PORT, Target, VmcPerformer, VrchatTrackers
+
+    senders: list[VmcPerformer | VrchatTrackers] = []
+    if args.vmc is not None:
+        senders.append(VmcPerformer(Target.of(args.vmc, VMC_PORT, "--vmc")))
+    if args.vrchat is not None:
+        senders.append(VrchatTrackers(Target.of(args.vrchat, VRCHAT_PORT, "--vrchat")))
+
+    def heed_pose(pose: AvatarPose) -> None:
+        for sender in senders:
+            sender.send(pose)
+
+    return lambda publish: LiveSession(
+        follower,
+        publish,
+        height_m=args.height,
+        pose=args.pose,
+        calibration=calibration,
+        heed_frame=heed_frame,
+        heed_pose=heed_pose if senders else None,
+    )
+
+
+async def _serve(
+    args: LiveArgs, make: Callable[..., LiveSession], recording: Recording | None
+) -> None:
+    from agents.headset.server import LiveServer
+    from agents.headset.tls import LOOPBACK_NAMES, own_addresses, server_context
+
+    local = is_loopback(args.host)
+    names = own_addresses() if args.host in ("0.0.0.0", "::") else [args.host]
+    secure = not local or args.cert is not None or args.key is not None
+    context = None
+    if secure:
+        context = server_context(args.cert, args.key, list({*LOOPBACK_NAMES, *names}))
+    token = "" if local else secrets.token_urlsafe(16)
+    pages = recording is None and args.vmc_in is None
+    server = LiveServer(args.host, token, context, page_drives=pages)
+    with make(server.publish) as session:
+        server.session = session
+        await server.start(args.port)
+        query = f"/?token={token}" if token else "/"
+        for name in names or [args.host]:
+            shown = f"[{name}]" if ":" in name else name
+            scheme = "https" if secure else "http"
+            print(f"open {scheme}://{shown}:{server.port}{query} ; Ctrl-C ends", flush=True)
+        ended = asyncio.create_task(server.failed.wait())
+        for number in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(number, ended.cancel)
+        feeding = None
+        with _osc_driver(args.vmc_in, session):
+            if recording is not None:
+                feeding = asyncio.create_task(feed(session, recording))
+            with contextlib.suppress(asyncio.CancelledError):
+                await ended
+        if feeding is not None:
+            feeding.cancel()
+        await server.stop()
+    if session.failure is not None:
+        raise session.failure
+
+
+@contextlib.contextmanager
+def _osc_driver(port: int | None, session: LiveSession) -> Iterator[None]:
+    """Frames of a VMC program, if one drives."""
+    if port is None:
+        yield
+        return
+    from questsim.osc.receiver import VmcReceiver
+
+    with VmcReceiver(session.push, port=port) as receiver:
+        print(f"listening for VMC at {LOOPBACK}:{receiver.port}", flush=True)
+        session.begin()
+        yield
+
+
+async def feed(session: LiveSession, recording: Recording) -> None:
+    """Push a recording's frames at their times, again and again."""
+    while True:
+        session.begin()
+        began, first = time.monotonic(), recording.frames[0].time_s
+        for frame in recording.frames:
+            wait = began + frame.time_s - first - time.monotonic()
+            if wait > 0.0:
+                await asyncio.sleep(wait)
+            session.push(frame)

@@ -1,0 +1,86 @@
+"""What a page may send, and what is refused: sizes, rates, numbers and times."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from questsim.devices import DeviceFrame
+from questsim.errors import InputError
+
+MAX_BYTES = 4096
+"""A message of three devices has 500."""
+MAX_PER_SECOND = 200.0
+"""Headsets send 72 to 120 frames a second; what is beyond is dropped."""
+MAX_FAULTS = 20
+"""A client with more messages that cannot be used is sent away."""
+MAX_TIME_S = 1e9
+DEVICES = ("headset", "left_controller", "right_controller")
+
+
+class Allowance:
+    """A bucket that fills with ``rate`` messages a second and holds one second of them.
+
+    Args:
+        rate: messages a second.
+        clock: gives seconds.
+    """
+
+    def __init__(self, rate: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._rate, self._clock = rate, clock
+        self._left, self._at = rate, clock()
+
+    def take(self) -> bool:
+        """Whether one more is allowed now."""
+        now = self._clock()
+        self._left = min(self._rate, self._left + (now - self._at) * self._rate)
+        self._at = now
+        if self._left < 1.0:
+            return False
+        self._left -= 1.0
+        return True
+
+
+def read_message(text: str) -> dict[str, Any]:
+    """A message of a page as a JSON object with a ``type``.
+
+    Raises:
+        InputError: it is none.
+    """
+    try:
+        message = json.loads(text)
+    except (ValueError, RecursionError):
+        raise InputError("is no JSON", "message") from None
+    if not isinstance(message, dict) or not isinstance(message.get("type"), str):
+        raise InputError("is no object with a type", "message")
+    return message
+
+
+def frame_of(message: dict[str, Any]) -> DeviceFrame:
+    """The frame of ``{"type": "frame", "t": seconds, "headset": [7 numbers], ...}`` of WebXR.
+
+    Raises:
+        InputError: other devices, values that are no poses, a time that is none.
+    """
+    time_s = message.get("t")
+    if isinstance(time_s, bool) or not isinstance(time_s, int | float):
+        raise InputError("t is no number", "frame")
+    if not 0.0 <= time_s <= MAX_TIME_S:
+        raise InputError(f"t is not within 0 to {MAX_TIME_S:g} s", "frame")
+    poses = {name: value for name, value in message.items() if name not in ("type", "t")}
+    for name, value in poses.items():
+        if name not in DEVICES:
+            raise InputError(f"has {name[:40]!r}, which is no device of a page", "frame")
+        numbers = isinstance(value, list) and all(type(x) in (int, float) for x in value)
+        if not numbers or len(value) != 7:
+            raise InputError(f"{name} is not 7 numbers", "frame")
+    return DeviceFrame.of(float(time_s), poses, "openxr")
+
+
+def rounded(values: np.ndarray, decimals: int = 4) -> list[float]:
+    """An array as a flat list for JSON."""
+    return np.round(values, decimals).ravel().tolist()

@@ -1,0 +1,255 @@
+"""The web server of ``questsim live``: the page, the avatar, one driver and many watchers."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hmac
+import json
+import ssl
+from collections.abc import Awaitable, Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from aiohttp import WSCloseCode, WSMsgType, web
+
+from agents.headset.messages import (
+    MAX_BYTES,
+    MAX_FAULTS,
+    MAX_PER_SECOND,
+    Allowance,
+    frame_of,
+    read_message,
+)
+from agents.headset.session import LiveSession
+from agents.headset.tls import known_host
+from questsim.errors import InputError
+from questsim.exporting.glb import avatar_glb
+
+PAGE = Path(__file__).parent / "page"
+FILES = {"/": ("index.html", "text/html"), "/live.js": ("live.js", "text/javascript")}
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'unsafe-inline'; "
+    "connect-src 'self' blob:; img-src 'self' data: blob:; frame-ancestors 'none'"
+)
+MAX_CLIENTS = 32
+SLOW_S = 10.0
+"""A client that takes nothing for longer is sent away."""
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+def check_page() -> None:
+    """Refuse to serve a page that was not built.
+
+    Raises:
+        InputError: saying what builds it.
+    """
+    if not all((PAGE / name).is_file() for name, _ in FILES.values()):
+        raise InputError("the page is not built", "questsim live", "run make live in a checkout")
+
+
+class LiveServer:
+    """Serves one session.
+
+    Args:
+        host: where to listen.
+        token: what has to stand in every address; empty for none, on loopback.
+        context: TLS; None for plain HTTP, on loopback.
+        page_drives: whether a page may be the driver.
+
+    Attributes:
+        session: to be set before ``start``.
+        received: frames of drivers that were taken in.
+    """
+
+    def __init__(
+        self, host: str, token: str, context: ssl.SSLContext | None, page_drives: bool = True
+    ) -> None:
+        self._host, self._token, self._context = host, token, context
+        self._page_drives = page_drives
+        self._clients: dict[web.WebSocketResponse, _Outbox] = {}
+        self._driver: web.WebSocketResponse | None = None
+        self._loop = asyncio.get_running_loop()
+        self.session: LiveSession | None = None
+        self.failed = asyncio.Event()
+        self.received = 0
+        self.port = 0
+
+    async def start(self, port: int) -> None:
+        """Listen.
+
+        Raises:
+            OSError: the port is taken.
+        """
+        app = web.Application(middlewares=[self._guard], client_max_size=MAX_BYTES)
+        for path in FILES:
+            app.router.add_get(path, self._file)
+        app.router.add_get("/avatar.glb", self._avatar)
+        app.router.add_get("/ws", self._socket)
+        self._runner = web.AppRunner(app, access_log=None, handle_signals=False)
+        await self._runner.setup()
+        site = web.TCPSite(self._runner, self._host, port, ssl_context=self._context)
+        await site.start()
+        self.port = int(self._runner.addresses[0][1])
+
+    async def stop(self) -> None:
+        """Send everybody away and close."""
+        for socket in list(self._clients):
+            await socket.close(code=WSCloseCode.GOING_AWAY, message=b"the server ends")
+        await self._runner.cleanup()
+
+    def publish(self, state: dict[str, Any]) -> None:
+        """Show a state to all pages; from any thread."""
+        text = json.dumps(state, separators=(",", ":"), allow_nan=False)
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(self._spread, text, state["type"])
+
+    def _spread(self, text: str, kind: str) -> None:
+        if kind == "failure":
+            self.failed.set()
+        for outbox in self._clients.values():
+            outbox.put(text, kind)
+
+    @web.middleware
+    async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        """Refuse foreign hosts, foreign origins and missing tokens, before anything else."""
+        host = request.headers.get("Host", "")
+        if not known_host(host, self._host):
+            raise web.HTTPForbidden(text="this host is not served")
+        scheme = "http" if self._context is None else "https"
+        origin = request.headers.get("Origin")
+        if origin is not None and origin != f"{scheme}://{host}":
+            raise web.HTTPForbidden(text="this origin is not served")
+        if request.path == "/ws" and origin is None:
+            raise web.HTTPForbidden(text="no origin")
+        given = request.query.get("token", "").encode()
+        # The script is public; everything about the person is not.
+        named = hmac.compare_digest(given, self._token.encode())
+        if self._token and not named and request.path != "/live.js":
+            raise web.HTTPForbidden(text="the address lacks its token")
+        return await handler(request)
+
+    async def _file(self, request: web.Request) -> web.StreamResponse:
+        name, kind = FILES[request.path]
+        headers = {
+            "Content-Security-Policy": POLICY,
+            "Cache-Control": "no-cache",
+            "Referrer-Policy": "no-referrer",
+            "X-Content-Type-Options": "nosniff",
+        }
+        body = (PAGE / name).read_bytes()
+        return web.Response(body=body, content_type=kind, charset="utf-8", headers=headers)
+
+    async def _avatar(self, request: web.Request) -> web.StreamResponse:
+        try:
+            height = float(request.query.get("height", "1.75"))
+            if not 1.2 <= height <= 2.2:
+                raise ValueError
+        except ValueError:
+            raise web.HTTPBadRequest(text="height is no stature") from None
+        body = await asyncio.to_thread(_glb, round(height, 2))
+        return web.Response(body=body, content_type="model/gltf-binary")
+
+    async def _socket(self, request: web.Request) -> web.StreamResponse:
+        if len(self._clients) >= MAX_CLIENTS:
+            raise web.HTTPServiceUnavailable(text="too many watchers")
+        socket = web.WebSocketResponse(max_msg_size=MAX_BYTES, heartbeat=20.0, compress=False)
+        await socket.prepare(request)
+        drives = request.query.get("role") == "driver"
+        if drives and (self._driver is not None or not self._page_drives):
+            reason = b"somebody else drives" if self._page_drives else b"the page only watches"
+            await socket.close(code=4001, message=reason)
+            return socket
+        assert self.session is not None
+        outbox = _Outbox(socket)
+        self._clients[socket] = outbox
+        outbox.put(json.dumps(self.session.status()), "state")
+        sender = asyncio.create_task(outbox.run())
+        if drives:
+            self._driver = socket
+            self.session.begin()
+        try:
+            await self._listen(socket, drives)
+        finally:
+            sender.cancel()
+            del self._clients[socket]
+            if drives:
+                self._driver = None
+                self.session.end()
+        return socket
+
+    async def _listen(self, socket: web.WebSocketResponse, drives: bool) -> None:
+        allowance, faults = Allowance(MAX_PER_SECOND), 0
+        async for message in socket:
+            if message.type != WSMsgType.TEXT:
+                faults += 1
+            elif not allowance.take():
+                continue
+            elif not drives:
+                faults += 1  # watchers have nothing to say
+            else:
+                try:
+                    self._obey(read_message(message.data))
+                except InputError as error:
+                    faults += 1
+                    self._clients[socket].put(json.dumps({"type": "refused", "text": str(error)}))
+            if faults > MAX_FAULTS:
+                await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"too many faults")
+                return
+
+    def _obey(self, message: dict[str, Any]) -> None:
+        assert self.session is not None
+        kind = message["type"]
+        if kind == "frame":
+            self.session.push(frame_of(message))
+            self.received += 1
+        elif kind == "calibrate":
+            self.session.begin()
+        elif kind == "assist" and isinstance(message.get("on"), bool):
+            self.session.assist(message["on"])
+        else:
+            raise InputError(f"{kind[:40]!r} is nothing that a page may ask", "message")
+
+
+class _Outbox:
+    """What a client has still to be sent: the newest pose, and all words before it.
+
+    A client that is slow misses poses; it does not make the server remember them.
+    """
+
+    def __init__(self, socket: web.WebSocketResponse) -> None:
+        self._socket = socket
+        self._words: list[str] = []
+        self._pose: str | None = None
+        self._news = asyncio.Event()
+
+    def put(self, text: str, kind: str = "") -> None:
+        """One more message."""
+        if kind == "pose":
+            self._pose = text
+        else:
+            self._words = [*self._words[-31:], text]
+        self._news.set()
+
+    async def run(self) -> None:
+        """Send until the client is gone or does not take anything."""
+        try:
+            while True:
+                await self._news.wait()
+                self._news.clear()
+                texts, self._words = self._words, []
+                if self._pose is not None:
+                    texts.append(self._pose)
+                    self._pose = None
+                for text in texts:
+                    await asyncio.wait_for(self._socket.send_str(text), SLOW_S)
+        except (ConnectionError, RuntimeError):
+            return
+        except TimeoutError:
+            await self._socket.close()
+
+
+@lru_cache(maxsize=8)
+def _glb(height_m: float) -> bytes:
+    return avatar_glb(height_m)

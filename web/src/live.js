@@ -1,0 +1,131 @@
+// The page of `questsim live`: whoever enters VR drives the avatar, everybody else watches.
+import { PerspectiveCamera, WebGLRenderer } from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { VRButton } from "three/addons/webxr/VRButton.js";
+import { Connection } from "./connection.js";
+import { readFrame } from "./devices.js";
+import { Figure } from "./figure.js";
+import { Board, Forces, Mirror, Stage, makeWorld } from "./world.js";
+
+const element = (id) => document.getElementById(id);
+const EVENT_MS = 4000;
+
+const renderer = new WebGLRenderer({ antialias: true, stencil: true });
+renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+renderer.setSize(innerWidth, innerHeight);
+renderer.xr.enabled = true;
+renderer.xr.setReferenceSpaceType("local-floor");
+document.body.append(renderer.domElement, VRButton.createButton(renderer));
+
+const camera = new PerspectiveCamera(50, innerWidth / innerHeight, 0.05, 100);
+camera.position.set(1.5, 1.7, 2.1);
+const orbit = new OrbitControls(camera, renderer.domElement);
+orbit.target.set(0.2, 1.05, -1.2);
+orbit.update();
+addEventListener("resize", () => {
+  camera.aspect = innerWidth / innerHeight;
+  camera.updateProjectionMatrix();
+  renderer.setSize(innerWidth, innerHeight);
+});
+
+const scene = makeWorld();
+const own = new Figure();
+const seen = new Figure(true);
+const forces = new Forces();
+const board = new Board();
+const stage = new Stage(new Mirror(seen), board);
+scene.add(own, stage, forces);
+
+const state = { text: "connecting", numbers: "", event: "", eventAt: 0, height: null, state: "" };
+let connection = new Connection("watcher", take);
+let session = null;
+let drives = false;
+
+function take(message) {
+  if (message.type === "pose") showPose(message);
+  else if (message.type === "state") showState(message);
+  else if (message.type === "refused") element("fault").textContent = message.text;
+  else if (message.type === "busy") {
+    element("fault").textContent = message.text;
+    drives = false;
+    connection = new Connection("watcher", take);
+  } else if (message.type === "lost") state.text = "the connection is lost; trying again";
+  else if (message.type === "failure") state.text = "the simulation failed; see the server's terminal";
+  showWords();
+}
+
+function showState(message) {
+  state.text = message.text || (message.state === "following" ? "following" : message.state);
+  state.state = message.state;
+  element("assist").disabled = message.assist_n === 0;
+  if (message.state !== "following") {
+    own.visible = seen.visible = forces.visible = false;
+    state.numbers = "";
+  }
+  if (message.height_m && message.height_m !== state.height) {
+    state.height = message.height_m;
+    for (const figure of [own, seen]) figure.load(message.height_m).catch((error) => {
+      element("fault").textContent = `the avatar was not loaded: ${error.message}`;
+    });
+  }
+}
+
+function showPose(pose) {
+  own.show(pose);
+  seen.show(pose);
+  own.headless = session !== null;
+  const shift = stage.follow(pose.p[0], pose.p[2]);
+  if (shift) {
+    camera.position.add(shift);
+    orbit.target.add(shift);
+    orbit.update();
+  }
+  forces.visible = true;
+  forces.show(pose);
+  const newtons = Math.hypot(...pose.assist);
+  state.numbers = [
+    `device error ${pose.error_cm === null ? "-" : pose.error_cm.toFixed(1)} cm`,
+    `server time ${pose.step_ms.toFixed(1)} ms`,
+    `assist ${newtons.toFixed(0)} N`,
+  ].join("\n");
+  window.lastPose = pose;
+  window.poses = (window.poses ?? 0) + 1;
+  if (pose.events.length) {
+    state.event = pose.events.join("; ");
+    state.eventAt = performance.now();
+  }
+}
+
+function showWords() {
+  const event = performance.now() - state.eventAt < EVENT_MS ? state.event : "";
+  element("text").textContent = event || state.text;
+  element("numbers").textContent = state.numbers;
+  board.show([event || state.text, ...state.numbers.split("\n")]);
+}
+
+renderer.xr.addEventListener("sessionstart", () => {
+  session = renderer.xr.getSession();
+  // Quest's browser drops sockets that were opened before: a new one, as the driver.
+  connection.close();
+  drives = true;
+  connection = new Connection("driver", take);
+  element("calibrate").hidden = false;
+});
+renderer.xr.addEventListener("sessionend", () => {
+  session = null;
+  drives = false;
+  own.headless = false;
+  element("calibrate").hidden = true;
+  connection.close();
+  connection = new Connection("watcher", take);
+});
+element("calibrate").onclick = () => connection.send({ type: "calibrate" });
+element("assist").onchange = (event) => connection.send({ type: "assist", on: event.target.checked });
+
+renderer.setAnimationLoop((time, frame) => {
+  if (frame && drives) {
+    const space = renderer.xr.getReferenceSpace();
+    if (space) connection.send(readFrame(frame.predictedDisplayTime ?? time, frame, space));
+  }
+  renderer.render(scene, camera);
+});

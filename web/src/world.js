@@ -1,0 +1,164 @@
+// The room: a floor with metres, a mirror with what stands before it, arrows, a board of numbers.
+import {
+  ArrowHelper, BoxGeometry, CanvasTexture, Color, DirectionalLight, Group, HemisphereLight, Mesh,
+  MeshBasicMaterial, MeshStandardMaterial, PlaneGeometry, RepeatWrapping,
+  ReplaceStencilOp, Scene, SRGBColorSpace, Vector3,
+} from "three";
+
+const MIRROR_Z = -2;
+const FLOOR_M = 30;
+const N_TO_M = 0.0008;
+
+export function makeWorld() {
+  const scene = new Scene();
+  scene.background = new Color(0xdfe6ee);
+  scene.add(new HemisphereLight(0xffffff, 0x8a94a0, 1.7));
+  const sun = new DirectionalLight(0xffffff, 1.6);
+  sun.position.set(2, 5, 3);
+  scene.add(sun, floor());
+  return scene;
+}
+
+function floor() {
+  const canvas = document.createElement("canvas");
+  canvas.width = canvas.height = 128;
+  const pen = canvas.getContext("2d");
+  pen.fillStyle = "#c9d2dc";
+  pen.fillRect(0, 0, 128, 128);
+  pen.fillStyle = "#bac5d1";
+  pen.fillRect(0, 0, 64, 64);
+  pen.fillRect(64, 64, 64, 64);
+  const texture = new CanvasTexture(canvas);
+  texture.colorSpace = SRGBColorSpace;
+  texture.wrapS = texture.wrapT = RepeatWrapping;
+  texture.repeat.set(FLOOR_M / 2, FLOOR_M / 2);
+  texture.anisotropy = 4;
+  const plane = new Mesh(new PlaneGeometry(FLOOR_M, FLOOR_M), new MeshStandardMaterial({ map: texture, roughness: 1 }));
+  plane.rotation.x = -Math.PI / 2;
+  return plane;
+}
+
+// What is in the mirror is a second figure, reflected: it needs no second picture of the room, which
+// headsets have no time for, and is right in both eyes.
+export class Mirror extends Group {
+  constructor(figure) {
+    super();
+    this.reflected = new Group();
+    this.shifted = new Group();
+    this.shifted.add(figure);
+    this.reflected.add(this.shifted);
+    this.reflected.scale.z = -1;
+    this.reflected.position.z = 2 * MIRROR_Z;
+    const wood = new MeshStandardMaterial({ color: 0x6b7685, roughness: 0.6 });
+    const bar = (w, h, x, y) => {
+      const part = new Mesh(new BoxGeometry(w, h, 0.05), wood);
+      part.position.set(x, y, MIRROR_Z);
+      this.add(part);
+    };
+    bar(2.1, 0.05, 0, 2.25);
+    bar(2.1, 0.05, 0, 0.025);
+    bar(0.05, 2.25, -1.05, 1.125);
+    bar(0.05, 2.25, 1.05, 1.125);
+    const glass = new Mesh(
+      new PlaneGeometry(2.05, 2.2),
+      new MeshBasicMaterial({ color: 0xb8d4ee, transparent: true, opacity: 0.22, depthWrite: false }),
+    );
+    glass.position.set(0, 1.125, MIRROR_Z);
+    // What is in the mirror is seen in its glass alone: a mask is drawn first, see Figure.
+    const mask = new Mesh(glass.geometry, new MeshBasicMaterial({
+      colorWrite: false, depthWrite: false, stencilWrite: true, stencilRef: 1, stencilZPass: ReplaceStencilOp,
+    }));
+    mask.position.copy(glass.position);
+    mask.renderOrder = -2;
+    this.add(this.reflected, mask, glass);
+  }
+}
+
+// Mirror and board stand before the user, and come along when the user has walked away from them.
+const LEASH_M = 1.0;
+
+export class Stage extends Group {
+  constructor(mirror, board) {
+    super();
+    this.mirror = mirror;
+    this.add(mirror, board);
+  }
+
+  // Moves to the user at (x, z) if they have left; returns how far it moved, or null.
+  follow(x, z) {
+    const shift = new Vector3(x - this.position.x, 0, z - this.position.z);
+    if (shift.length() < LEASH_M) return null;
+    this.position.add(shift);
+    // Figures are in the world, whose origin lies elsewhere on the stage.
+    this.mirror.shifted.position.set(-x, 0, -z);
+    return shift;
+  }
+}
+
+export class Forces extends Group {
+  constructor() {
+    super();
+    const arrow = (colour) => new ArrowHelper(new Vector3(0, 1, 0), new Vector3(), 0.1, colour, 0.06, 0.04);
+    this.feet = [arrow(0x1ea05a), arrow(0x1ea05a)];
+    this.assist = arrow(0xd07a10);
+    this.add(...this.feet, this.assist);
+  }
+
+  show(pose) {
+    const at = (arrow, place, force) => {
+      const size = force.length();
+      arrow.visible = size > 5;
+      if (!arrow.visible) return;
+      arrow.position.copy(place);
+      arrow.setDirection(force.clone().divideScalar(size));
+      arrow.setLength(Math.max(0.08, size * N_TO_M), 0.06, 0.04);
+    };
+    const vector = (list, i) => new Vector3().fromArray(list, 3 * i);
+    [3, 6].forEach((link, i) => at(this.feet[i], vector(pose.p, link), vector(pose.force, i)));
+    at(this.assist, vector(pose.p, 0), vector(pose.assist, 0));
+  }
+}
+
+// Words for the wearer, who does not see the page: beside the mirror.
+export class Board extends Mesh {
+  constructor() {
+    const canvas = document.createElement("canvas");
+    canvas.width = 1024;
+    canvas.height = 512;
+    const texture = new CanvasTexture(canvas);
+    texture.colorSpace = SRGBColorSpace;
+    super(new PlaneGeometry(1.2, 0.6), new MeshBasicMaterial({ map: texture }));
+    this.pen = canvas.getContext("2d");
+    this.position.set(1.85, 1.6, MIRROR_Z + 0.25);
+    this.rotation.y = -0.45;
+    this.said = null;
+  }
+
+  show(lines) {
+    const text = lines.join("\n");
+    if (text === this.said) return;
+    this.said = text;
+    const { pen } = this;
+    pen.fillStyle = "#1d2733";
+    pen.fillRect(0, 0, 1024, 512);
+    pen.fillStyle = "#ffffff";
+    pen.font = "44px system-ui, sans-serif";
+    wrapped(pen, lines, 960).slice(0, 8).forEach((line, i) => pen.fillText(line, 32, 72 + 58 * i));
+    this.material.map.needsUpdate = true;
+  }
+}
+
+function wrapped(pen, lines, width) {
+  const out = [];
+  for (const line of lines) {
+    let row = "";
+    for (const word of line.split(" ")) {
+      if (row && pen.measureText(`${row} ${word}`).width > width) {
+        out.push(row);
+        row = word;
+      } else row = row ? `${row} ${word}` : word;
+    }
+    out.push(row);
+  }
+  return out;
+}
