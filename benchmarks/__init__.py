@@ -1,1 +1,1 @@
-"""Measurements, as ratios within one run; ``docs/performance.md`` holds what they printed."""
+"""Benchmarks, as ratios within one run; ``docs/performance.md`` holds the results."""

@@ -1,4 +1,4 @@
-"""What the benchmarks share: clips, interleaved timing, printing."""
+"""Shared code of the benchmarks: clips, interleaved timing, printing."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def arguments(
 
 
 def clips(count: int = 24) -> list[Clip]:
-    """Synthetic clips: no download, the same everywhere."""
+    """Synthetic clips: no download, identical on every machine."""
     return synthetic_clips()[:count]
 
 
 def springs(env: QuestVecEnv) -> Callable[[np.ndarray], np.ndarray]:
-    """Torques ``(n, 33)`` that hold the joints near zero, so that avatars do not just lie."""
+    """Torques ``(n, 33)`` that hold the joints near zero, so that avatars do not just lie down."""
     gains = 4.0 * env.damping / 0.04 / env.torque_limits
     return lambda obs: (-gains * obs[:, env.layout["joint_angles"]]).astype(np.float32)
 
@@ -52,7 +52,7 @@ def seconds(work: Callable[[], Any]) -> float:
 def median_rates(
     works: Mapping[str, Callable[[], Any]], steps: Mapping[str, int], repeats: int
 ) -> dict[str, float]:
-    """Median steps/s of each work, run in turn so that a change of clock hits all alike."""
+    """Median steps/s of each work, run in turn so that a change of clock affects all equally."""
     times: dict[str, list[float]] = {name: [] for name in works}
     for repeat in range(repeats + 1):
         for name, work in works.items():

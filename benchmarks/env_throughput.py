@@ -2,8 +2,8 @@
 
     python -m benchmarks.env_throughput [--json] [--envs 256] [--threads 2]
 
-The bare batch has the same models and substeps and makes each step from the states the VecEnv is
-in and with the same torques, so that both step the same contacts. Medians of single steps.
+The bare batch has the same models and substeps. It makes each step from the VecEnv's state and with
+the same torques, so that both compute the same contacts. Figures are medians of single steps.
 """
 
 from __future__ import annotations
@@ -85,12 +85,12 @@ def side_by_side(
 
 
 def forked(motions: list[Clip], count: int) -> SubprocVecEnv:
-    """So many single environments, each in a process of its own."""
+    """A SubprocVecEnv of single environments, each in its own process."""
 
     def single() -> QuestEnv:
         return QuestEnv(motions, EnvConfig())
 
-    warm = single()  # what is compiled before the fork is compiled once, not 256 times
+    warm = single()  # loops compiled before the fork are compiled once, not 256 times
     warm.reset()
     warm.step(warm.action_space.sample())
     return SubprocVecEnv([single] * count, start_method="fork")

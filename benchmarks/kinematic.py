@@ -1,11 +1,11 @@
-"""What a streamed frame of each kinematic system costs on one thread, against the published time.
+"""Time per streamed frame of each kinematic system on one thread, over the published time.
 
     OMP_NUM_THREADS=1 python -m benchmarks.kinematic [--preset paper] [--json]
 
-Untrained networks: their sizes are those of the preset, and a frame costs the same whatever was
-learnt, but for DragPoser, whose solver stops early where nothing is gained. Systems take turns, so
-that a change of clock hits all alike. A figure is the median milliseconds of a frame over half the
-published or released time, which is what it shall be at most: below 1 is reached.
+The networks are untrained but have the sizes of the preset. Training does not change the time per
+frame, except for DragPoser, whose solver stops early when it makes no progress. Systems take turns,
+so that a change of clock affects all equally. A figure is the median milliseconds per frame over
+half the published or released time, the target: a figure below 1 meets it.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ def main() -> None:
 
 
 def measure(preset: str, motion: Motion, frames: int, rounds: int) -> dict[str, float]:
-    """Milliseconds a frame and their share of what is allowed, by system.
+    """Milliseconds per frame and their ratio to the target, by system.
 
     Args:
-        preset: of every system.
-        motion: at 60 Hz, what the devices report.
-        frames: of it in a round.
-        rounds: in each of which every system has its turn.
+        preset: preset of every system.
+        motion: motion at 60 Hz from which the device signals are made.
+        frames: number of frames in a round.
+        rounds: number of rounds; every system runs once in each.
     """
     systems = {}
     for agent in AGENTS:
@@ -74,7 +74,7 @@ def measure(preset: str, motion: Motion, frames: int, rounds: int) -> dict[str, 
 def untrained(
     agent: str, preset: str, motion: Motion, iterations: int | None
 ) -> tuple[KinematicSystem, SensorSequence]:
-    """A system of a preset's size, its normalisers measured, and what its devices report."""
+    """A system of a preset's size with fitted normalisers, and its device signals."""
     torch.manual_seed(0)
     entry = AGENTS[agent]
     config = entry.presets[preset]
@@ -91,7 +91,7 @@ def untrained(
 def _streamed(
     system: KinematicSystem, sequence: SensorSequence, body: UserBody, frames: int
 ) -> list[float]:
-    """Seconds of each frame but the first few, in which a stream settles."""
+    """Seconds of each frame, without the first few frames of warm-up."""
     system.reset(body, sequence.names)
     told = [sequence[t] for t in range(min(frames, len(sequence)))]
     return [seconds(lambda frame=frame: system.step(frame)) for frame in told][5:]

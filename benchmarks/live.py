@@ -4,14 +4,14 @@
     python -m benchmarks.live --minutes 1 --agent questsim-now
     python -m benchmarks.live --motions bandai-namco-2:validation --clips 60
 
-Frames are those of a synthetic user at 90 Hz, of which 1 % are lost; each arrives up to 20 ms late,
-so that many come after later ones and are dropped. Bars: half of the steps within 5 ms, 99 % within
-20 ms, no restart, no growth of memory. The future window of the agent is not in the times.
+The frames come from a synthetic user at 90 Hz. 1 % are lost. Each arrives up to 20 ms late, so many
+arrive out of order and are dropped. Targets: half of the steps within 5 ms, 99 % within 20 ms, no
+restart, no growth of memory. The times do not include the future window of the agent.
 
-With ``--motions`` it measures instead what a calibrated start costs: how many clips are followed to
-their end by an avatar that starts in their first frame's pose, as every evaluation does, and by one
-whose user stood still for calibration and then did the same, of whom nobody ever knows the body.
-Bar: 3 points less.
+With ``--motions`` it measures instead the cost of a calibrated start. It compares the success on
+clips between two starts: in the pose of the clip's first frame, as in every evaluation; and from a
+user who stands still for calibration and then performs the clip, with the body unknown. Target: at
+most 3 points less.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def main() -> None:
 
 
 def bad_stream(minutes: float) -> list[DeviceFrame]:
-    """Frames of a user in the order in which they arrive."""
+    """Frames of a user in the order of their arrival."""
     clips = {clip.name.removeprefix("synthetic-"): clip for clip in synthetic_clips()}
     rounds = int(np.ceil(minutes / 2.0))
     done = [clips[name] for name in EXAMPLE_CLIPS] * rounds
@@ -67,8 +67,8 @@ def measure(agent: str, minutes: float) -> dict[str, float]:
     """Times of steps in ms, restarts, and growth of memory over the second half.
 
     Args:
-        agent: to follow with.
-        minutes: of the stream.
+        agent: the policy that follows.
+        minutes: length of the stream.
     """
     frames = bad_stream(minutes)
     follower = Follower(agent)
@@ -102,8 +102,8 @@ def starts(agent: str, clips: Sequence[Clip]) -> dict[str, float]:
     """Success in percent of scored and of calibrated starts.
 
     Args:
-        agent: a policy.
-        clips: to follow.
+        agent: the policy that follows.
+        clips: clips to follow.
     """
     loaded = load_agent(agent)
     scored = np.array([r.completed for r in roll_out(loaded, clips, env_config(loaded))])

@@ -1,13 +1,12 @@
-"""How soon the live page is there, and what its viewers cost the simulation.
+"""Start-up time of the live page, and the cost of its viewers for the simulation.
 
     python -m benchmarks.page [--agent questsim] [--seconds 8] [--json]
 
-The start is that of ``questsim demo``, from the process's first moment: until the page answers,
-and until a browser that waits for it shows the avatar. Then the simulation runs at real time, 36
-steps a second, with none, one and four viewers and with none again, and every step is timed. The
-viewers are tabs of one headless Chromium, which draws in software on the same cores: those who
-watch from other machines, or with a graphics card, cost less. Without Chromium only what needs none
-is measured.
+Start-up is measured for ``questsim demo``, from the start of the process until the page answers and
+until a waiting browser shows the avatar. Then the simulation runs at real time, 36 steps a second,
+with zero, one, four and again zero viewers, and every step is timed. The viewers are tabs of one
+headless Chromium that renders in software on the same cores; viewers on other machines or with a
+graphics card cost less. Without Chromium the measurements with a browser are left out.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ def main() -> None:
 
 
 def start(agent: str, browser: Any = None) -> dict[str, float]:
-    """Seconds until ``questsim demo`` answers and, given a browser, until the avatar is seen."""
+    """Seconds until ``questsim demo`` answers and, with a browser, until it shows the avatar."""
     with socket.socket() as probe:
         probe.bind((LOOPBACK, 0))
         port = probe.getsockname()[1]
@@ -93,19 +92,19 @@ def _answers(address: str) -> bool:
 
 
 def _shows_the_avatar(picture: bytes) -> bool:
-    """Whether the avatar's shirt is in a screenshot, left of the controls."""
+    """Whether a screenshot shows the avatar's shirt left of the controls."""
     image = np.asarray(Image.open(io.BytesIO(picture)).convert("RGB")).astype(int)
     red, green, blue = np.moveaxis(image[:, : WIDTH // 2], -1, 0)
     return bool(((red > green + 60) & (green > blue)).sum() > 200)
 
 
 def viewers(session: DemoSession, seconds: float, browser: Any = None) -> dict[str, float]:
-    """Steps a second and a step's time by the number of viewers, as figures and ratios.
+    """Steps a second and time per step by number of viewers, as figures and ratios.
 
     Args:
-        session: begins anew; nobody else may run it.
-        seconds: for each number of viewers.
-        browser: with one page; None leaves viewers out.
+        session: is restarted; nothing else may run it.
+        seconds: duration for each number of viewers.
+        browser: browser with one page; None leaves viewers out.
     """
     counts = VIEWERS if browser is not None else (0,)
     rates: dict[int, list[float]] = {count: [] for count in counts}
@@ -131,8 +130,8 @@ def measured(session: DemoSession, times: Sequence[float], seconds: float) -> tu
     """Steps a second of a running session and the median time of a step in microseconds.
 
     Args:
-        session: that runs.
-        times: grows by the seconds of each step.
+        session: the running session.
+        times: list to which the session appends the seconds of each step.
         seconds: how long to measure.
     """
     first_step, first_time = session.snapshot().step, len(times)
@@ -145,7 +144,7 @@ def measured(session: DemoSession, times: Sequence[float], seconds: float) -> tu
 
 @contextmanager
 def _served(session: DemoSession) -> Iterator[tuple[Page, list[float]]]:
-    """A page with the running session, and a list that grows by the seconds of each step."""
+    """A page with the running session, and the list of the seconds of each step."""
     times: list[float] = []
     advance = session.advance
 
@@ -168,7 +167,7 @@ def _served(session: DemoSession) -> Iterator[tuple[Page, list[float]]]:
 
 
 def _look(browser: Any, page: Page, count: int) -> None:
-    """Let so many tabs of the browser show the page, and wait until they do."""
+    """Open the page in ``count`` tabs of the browser, and wait until all show it."""
     for tab in browser.pages[1:]:
         tab.close()
     for _ in range(count):

@@ -1,10 +1,10 @@
-"""How many seconds of one avatar a second of one core simulates: observation, policy, physics.
+"""Real-time factor of one avatar on one core: observation, policy and physics.
 
     python -m benchmarks.realtime [--agent questsim] [--json]
 
-The parts are timed apart as well, and the policy's network beside the same arithmetic in NumPy,
-the least that a step of it could cost. ``--agent untrained`` takes a fresh policy of the size of
-the preset's student, which falls about.
+The parts are also timed separately. The policy's network is compared with the same arithmetic in
+NumPy, a lower bound of its cost. ``--agent untrained`` takes an untrained policy of the size of the
+preset's student, which falls over.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def main() -> None:
 
 
 def untrained() -> PolicyAgent:
-    """A fresh policy of the size of the student of preset ``cpu``: springs and little else."""
+    """An untrained policy of the size of preset ``cpu``'s student; its springs dominate."""
     body = build_body()
     policy = new_policy(
         PRESETS["cpu"].stages["student"].policy,
@@ -61,12 +61,12 @@ def untrained() -> PolicyAgent:
 
 
 def measure(agent: Agent, steps: int, repeats: int) -> dict[str, float]:
-    """Times real time of the whole and of its parts, medians over rounds.
+    """Real-time factors of the whole and of its parts, medians over rounds.
 
     Args:
-        agent: drives the avatar.
-        steps: of 1/36 s in each round.
-        repeats: rounds; one more goes before them unmeasured.
+        agent: the policy that drives the avatar.
+        steps: steps of 1/36 s in each round.
+        repeats: number of rounds, after one unmeasured round.
     """
     needs = agent.needs
     config = EnvConfig(
@@ -81,7 +81,7 @@ def measure(agent: Agent, steps: int, repeats: int) -> dict[str, float]:
     forward = numpy_forward(agent) if isinstance(agent, PolicyAgent) else None
     rounds = [timed_round(agent, sim, steps, forward) for _ in range(repeats + 1)][1:]
     if forward is not None:
-        # Another arithmetic would be timed for nothing.
+        # The comparison is only valid if both compute the same.
         np.testing.assert_allclose(
             forward(sim.observation), agent.act(sim.observation), rtol=0, atol=1e-4
         )
@@ -103,7 +103,7 @@ def timed_round(
     steps: int,
     forward: Callable[[np.ndarray], np.ndarray] | None,
 ) -> tuple[float, float, float]:
-    """Seconds of the policy, of physics and observation, and of the NumPy policy beside it."""
+    """Seconds of the policy, of physics and observation, and of the NumPy policy."""
     policy = physics = plain = 0.0
     for _ in range(steps):
         start = time.perf_counter()
@@ -122,7 +122,7 @@ def timed_round(
 
 
 def numpy_forward(agent: PolicyAgent) -> Callable[[np.ndarray], np.ndarray]:
-    """The policy's arithmetic without torch: actions ``(n, 33)`` for observations ``(n, D)``."""
+    """The policy's arithmetic without PyTorch: actions ``(n, 33)`` of observations ``(n, D)``."""
     actor, head = agent.policy.actor, agent.policy.head
     columns, mean = actor.columns.numpy(), actor.norm.mean.numpy()
     deviation = actor.norm.var.sqrt().clamp_min(MIN_STD).numpy()

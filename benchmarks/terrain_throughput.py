@@ -2,9 +2,9 @@
 
     python -m benchmarks.terrain_throughput [--json] [--envs 128] [--threads 2] [--steps 60]
 
-All batches are stepped in turn under springs that hold the joints near zero, and begin anew when
-they fall; each figure is the median of the ratios of single steps, so that a change of the
-clock, or another process, hits both sides alike.
+All batches are stepped in turn under springs that hold the joints near zero, and are reset when
+they fall. Each figure is the median ratio of single steps, so that a change of clock or another
+process affects both sides equally.
 """
 
 from __future__ import annotations

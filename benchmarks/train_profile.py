@@ -1,8 +1,8 @@
-"""Where the time of a training goes: shares of one iteration of the teacher and of the student.
+"""Profile of a training: shares of one iteration of the teacher and of the student.
 
     python -m benchmarks.train_profile [--json] [--envs 256] [--threads 2] [--iterations 10]
 
-The parts are timed from outside, in a run of their own; what is left over is `other`.
+The parts are timed from outside, in a separate run; the rest is `other`.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ PARTS = {
         "update": ("learner", "_learn"),
     },
 }
-"""Of each stage: what is timed, as the object that has it and the method's name."""
+"""For each stage the timed parts: the object and the name of its method."""
 
 
 class Clock:
@@ -64,7 +64,7 @@ class Clock:
 
 
 class Watched:
-    """An object whose methods can be replaced, in front of one whose cannot."""
+    """A proxy whose methods can be replaced, for an object whose methods cannot."""
 
     def __init__(self, inner: Any) -> None:
         self.__dict__["_inner"] = inner
@@ -74,7 +74,7 @@ class Watched:
 
 
 def profile(stage: str, args: Any, teacher: Path | None) -> tuple[dict[str, float], Any]:
-    """Shares of the parts of ``stage``'s iterations, its steps/s, and the learner."""
+    """Time shares of the parts of ``stage``'s iterations, its steps/s, and the learner."""
     config = PRESETS["cpu"].stages[stage]
     env_config = EnvConfig(
         reward=config.reward, privileged=True, sampling="failure", max_error_m=config.max_error_m

@@ -2,8 +2,8 @@
 
     python -m benchmarks.train_throughput [--json] [--envs 256] [--threads 2]
 
-Same environment, networks (400-300-200), rollout length, minibatch and epochs on both sides; ours
-as the preset `cpu` has it, with actor and critic side by side and bfloat16 products.
+Same environment, networks (400-300-200), rollout length, minibatch and epochs on both sides. Ours
+is the preset `cpu`: actor and critic in parallel, and bfloat16 products.
 """
 
 from __future__ import annotations
@@ -61,14 +61,14 @@ def main() -> None:
     rollout = args.envs * args.steps
 
     def our_rollout_and_update() -> None:
-        torch.set_num_threads(1)  # ours splits its work itself
+        torch.set_num_threads(1)  # ours splits its work into threads itself
         ours.iterate(lambda *_: None, 0.0)
 
     def their_rollout_and_update() -> None:
         torch.set_num_threads(args.threads)
         reference.learn(rollout, reset_num_timesteps=False)
 
-    # The first rollout of ours only measures the observations; both warm up in the first round.
+    # Our first rollout only fits the normaliser; both warm up in the first round.
     rates = median_rates(
         {"ours": our_rollout_and_update, "sb3_subproc": their_rollout_and_update},
         {"ours": rollout, "sb3_subproc": rollout},

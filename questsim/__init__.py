@@ -8,10 +8,10 @@ __version__ = "0.1.0"
 
 
 def _import_mujoco_without_drawing() -> None:
-    """Import MuJoCo where the OpenGL library that MUJOCO_GL names may be missing.
+    """Import MuJoCo even if the OpenGL library that MUJOCO_GL names is missing.
 
-    MuJoCo loads that library when it is imported and fails without it, although most of this
-    package draws nothing. What draws looks for a library that works (questsim/viewing/gl.py).
+    MuJoCo loads that library at import and fails without it, although most of this package renders
+    nothing. Rendering code finds a library that works (questsim/viewing/gl.py).
     """
     from questsim.viewing.gl import switch_imported_mujoco
 
@@ -20,7 +20,7 @@ def _import_mujoco_without_drawing() -> None:
         import mujoco  # noqa: F401
     finally:
         os.environ["MUJOCO_GL"] = wanted
-    with contextlib.suppress(Exception):  # a missing library fails in any way
+    with contextlib.suppress(Exception):  # a missing library can raise any exception
         switch_imported_mujoco(wanted.lower().strip())
 
 

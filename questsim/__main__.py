@@ -1,4 +1,4 @@
-"""``python -m questsim``: the command ``questsim`` where its script is not on the path."""
+"""``python -m questsim``: the command ``questsim`` if its script is not on the path."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Where the MJCF files are: ``assets/mjcf`` of a checkout, ``questsim/_mjcf`` of a wheel."""
+"""Location of the MJCF files: ``assets/mjcf`` of a checkout, ``questsim/_mjcf`` of a wheel."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _FOLDERS = (_PACKAGE / "_mjcf", _PACKAGE.parent / "assets" / "mjcf")
 def mjcf_path(name: str) -> Path:
     """The path of a shipped MJCF file.
 
-    An installed wheel has the files beside this module (``pyproject.toml`` maps them there); a
-    checkout, also one installed with ``pip install -e``, has them in its top-level ``assets``.
+    An installed wheel has the files beside this module (``pyproject.toml`` maps them there). A
+    checkout, also with ``pip install -e``, has them in its top-level folder ``assets``.
 
     Args:
-        name: the file's name, e.g. ``"humanoid.xml"``.
+        name: name of the file, e.g. ``"humanoid.xml"``.
 
     Raises:
-        InputError: there is no such file.
+        InputError: the file does not exist.
     """
     for folder in _FOLDERS:
         if (folder / name).is_file():

@@ -1,4 +1,4 @@
-"""One moment of the avatar, as a live follower gives it and exports take it."""
+"""One frame of the avatar: output of a live follower, input of the exports."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class AvatarPose:
-    """The avatar in one moment, in our convention and in the space of the user's devices.
+    """One frame of the avatar, in our convention and in the space of the user's devices.
 
     Attributes:
-        time_s: the moment it is of, on the devices' clock; earlier than the newest device frame by
-            the follower's ``latency_s``.
+        time_s: time of the pose on the devices' clock; the follower's ``latency_s`` before the
+            newest device frame.
         height_m: the avatar's stature.
-        root_position: ``(3,)`` of the pelvis in metres.
+        root_position: ``(3,)`` position of the pelvis in metres.
         root_quat: ``(4,)`` wxyz.
         joint_angles: ``(33,)`` rad, in the order of ``skeleton.DOFS``.
         link_position: ``(16, 3)`` link origins in metres, in the order of ``skeleton.LINKS``.
@@ -23,8 +23,8 @@ class AvatarPose:
         contact_force: ``(2, 3)`` force in N of the ground on the left and the right foot; zero
             without physics.
         assist_force: ``(3,)`` force in N on the root from the assist; zero while it is not used.
-        assist_torque: ``(3,)`` torque in N m, likewise.
-        events: what happened since the pose before, in words; empty as a rule.
+        assist_torque: ``(3,)`` torque in N m on the root from the assist, likewise.
+        events: texts of events since the previous pose; usually empty.
     """
 
     time_s: float

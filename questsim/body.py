@@ -19,7 +19,7 @@ POLICY_TIMESTEP_S = 1.0 / 36.0
 
 @dataclass(frozen=True)
 class BodyPreset:
-    """How a body's dynamics follow from the default body and the ratio ``s`` of heights.
+    """Scaling of a body's dynamics from the default body by the ratio ``s`` of heights.
 
     Attributes:
         mass_power, inertia_power, torque_power: exponents of ``s`` for link masses, for link
@@ -57,7 +57,7 @@ PRESETS: dict[str, BodyPreset] = {
 
 @dataclass(frozen=True)
 class Body:
-    """A compiled body and what a controller needs to know of it.
+    """A compiled body and its parameters for controllers.
 
     Attributes:
         model: the MuJoCo model; bodies 1 to 16 are ``skeleton.LINKS``, ``qpos[7:]`` and
@@ -156,7 +156,7 @@ def scaled_spec(height_m: float = DEFAULT_HEIGHT_M, preset: str = "default") -> 
 def _scale_inertia(
     body: mujoco.MjsBody, original: mujoco.MjModel, ratio: float, options: BodyPreset
 ) -> None:
-    """Set mass and inertia outright: the exponents need not be those of a solid's shape."""
+    """Set mass and inertia explicitly: the exponents may differ from those of a scaled solid."""
     link = original.body(body.name).id
     body.explicitinertial = True
     body.mass = original.body_mass[link] * ratio**options.mass_power
@@ -178,7 +178,7 @@ def _default_model() -> mujoco.MjModel:
 
 
 def _check_names(model: mujoco.MjModel) -> None:
-    """Refuse an MJCF whose order is not the skeleton's: every array depends on it."""
+    """Reject an MJCF whose order differs from the skeleton's: every array depends on it."""
     links = tuple(model.body(i).name for i in range(1, model.nbody))
     hinges = tuple(model.joint(i).name for i in range(1, model.njnt))
     motors = tuple(model.actuator(i).name for i in range(model.nu))

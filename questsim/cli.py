@@ -1,7 +1,7 @@
-"""The command ``questsim``, and the guard that every command line of the project runs in.
+"""The command ``questsim``, and the error handling of every command line of the project.
 
-This is the one module of ``questsim`` that knows ``agents``. It imports a subcommand's module
-only when that subcommand is run, so that ``questsim --help`` does not wait for PyTorch.
+This is the only module of ``questsim`` that names modules of ``agents``. It imports the module of a
+subcommand when that subcommand runs, so that ``questsim --help`` does not load PyTorch.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from questsim.processes import processes
 
 
 class Command(NamedTuple):
-    """A subcommand: where its function and the dataclass of its options are, and one line of help.
+    """A subcommand: import paths of its function and of its options, and one line of help.
 
-    The function takes the dataclass as its only argument. Where a command has several jobs with
-    options of their own, ``args`` names its ``Modes`` and ``function`` is empty.
+    The function takes the dataclass of options as its only argument. For a command with several
+    modes, ``args`` names its ``Modes`` and ``function`` is empty.
     """
 
     module: str
@@ -125,7 +125,7 @@ COMMANDS: dict[str, Command] = {
 
 
 def guarded(function: Callable[[], object]) -> int:
-    """Run a command and turn what the user can mend into one line on stderr.
+    """Run a command and print errors that the user can fix as one line on stderr.
 
     Args:
         function: the command; an int it returns is the exit code.
@@ -141,7 +141,7 @@ def guarded(function: Callable[[], object]) -> int:
     except InputError as error:
         return _refuse(str(error))
     except BrokenPipeError:
-        # Who read our output has had enough, as in `questsim motions list ... | head`.
+        # The reader of our output has closed the pipe, as in `questsim motions list ... | head`.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
@@ -175,10 +175,10 @@ def run(command: Callable[[Any], object], args: type, argv: Sequence[str] | None
 
 
 def run_modes(modes: Modes, argv: Sequence[str] | None = None) -> int:
-    """Parse a command line of several jobs and do the one that it asks for, guarded.
+    """Parse the command line of a command with several modes and run the chosen one, guarded.
 
     Args:
-        modes: the jobs.
+        modes: the modes.
         argv: the arguments; by default those of the process.
 
     Returns:
@@ -232,7 +232,7 @@ def _run_named(name: str, argv: Sequence[str]) -> int:
     import tyro
 
     command = COMMANDS[name]
-    # Threads of PyTorch that spin while they wait would starve those of the physics.
+    # PyTorch threads that spin while waiting would slow down the physics threads.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
     def parse_and_run() -> object:

@@ -1,10 +1,10 @@
-"""How loops are compiled and kept on disk, and what several of them share.
+"""Compilation of loops, their cache on disk, and shared compiled helpers.
 
-Numba keeps a compiled function in ``__pycache__`` under the date of the file that defines it. A
-compiled function also contains the code of those that it calls, the order of the fields of its
-arguments' records, and the values of constants, all of which may come from other modules. ``jit``
-therefore adds the content of those to what numba compares: after any edit, loops that contain
-the edited code compile again by themselves.
+Numba caches a compiled function in ``__pycache__`` under the date of the file that defines it. A
+compiled function also contains code of the functions that it calls, the field order of its
+arguments' records, and values of constants. All of these may come from other modules. ``jit``
+therefore adds the content of those modules to numba's cache stamp: after an edit, every loop that
+contains the edited code is compiled again.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from numba.core import caching
 
 
 def jit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Compile a loop when it is first called, and keep it until its code changes.
+    """Compile a loop when it is first called, and cache it until its code changes.
 
     Args:
         function: the loop; None to decorate with options.
-        **options: of ``numba.njit`` beside the project's: no GIL, numpy's error model.
+        **options: options of ``numba.njit``, added to the project's: no GIL, numpy's error model.
     """
     if function is None:
         return lambda decorated: jit(decorated, **options)
@@ -35,13 +35,13 @@ def jit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 
 
 def inlined_code(function: Callable[..., Any]) -> str:
-    """SHA-256 of what other modules put into a compiled function.
+    """SHA-256 of the code that other modules contribute to a compiled function.
 
-    That is the files of the modules whose compiled functions, or whose NamedTuples, the function's
-    module imports, those of their modules in turn, and the constants that any of them holds.
+    It covers the files of all modules, direct or indirect, from which the function's module imports
+    compiled functions or NamedTuples, and the constants in them.
 
     Args:
-        function: before it is compiled; its module's imports have run.
+        function: the function before compilation; its module's imports have run.
     """
     digest, todo, seen = hashlib.sha256(), [function.__module__], set()
     while todo:
@@ -75,7 +75,7 @@ def _is_record(value: Any) -> bool:
 
 
 class _Stamped:
-    """A place of numba's for cached functions, with ``inlined_code`` in the stamp of the source."""
+    """A cache locator of numba with ``inlined_code`` in the source stamp."""
 
     _function: Any
 

@@ -1,8 +1,8 @@
-"""One moment of a user's devices, and the coordinate conventions of the programs that report it.
+"""One frame of a user's devices, and the coordinate conventions of the reporting programs.
 
 Inside the project everything is right-handed with x forward, y left and z up, in metres, with
-quaternions wxyz. ``DeviceFrame.of`` converts what a headset, a game engine or a log file says;
-``from_ours`` converts results for them.
+quaternions wxyz. ``DeviceFrame.of`` converts poses from a headset, game engine or log file;
+``from_ours`` converts results back.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from questsim.errors import InputError
 from questsim.sensors import DEVICES
 
 MAX_DISTANCE_M = 1000.0
-"""Positions further from the origin than this are refused."""
+"""Positions further from the origin than this are rejected."""
 UNIT_TOLERANCE = 1e-2
 
 
@@ -27,8 +27,8 @@ class Convention:
     """Axes, unit and order of quaternions of another program.
 
     Attributes:
-        axes: ``(3, 3)`` its axes in ours, as columns: what is ``p`` there is ``axes @ p`` here.
-        unit_m: metres of its unit of length.
+        axes: ``(3, 3)`` its axes in ours, as columns: a vector ``p`` there is ``axes @ p`` here.
+        unit_m: its unit of length in metres.
         scalar_first: whether its quaternions are wxyz; otherwise xyzw.
     """
 
@@ -48,7 +48,7 @@ CONVENTIONS: dict[str, Convention] = {
     "questsim": Convention(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), 1.0, True),
     # Right-handed, x right, y up, z back; WebXR has the same.
     "openxr": Convention(_OPENXR),
-    # OpenVR: the axes of OpenXR. Its own poses are 3 x 4 matrices, which every convention takes.
+    # OpenVR: the axes of OpenXR. Its poses are 3 x 4 matrices, which every convention accepts.
     "steamvr": Convention(_OPENXR),
     # Left-handed, x right, y up, z forward.
     "unity": Convention(((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0))),
@@ -59,12 +59,12 @@ CONVENTIONS: dict[str, Convention] = {
 
 
 class DevicePose(NamedTuple):
-    """Where a device is, in our convention.
+    """Pose of a device in our convention.
 
     Attributes:
         position: ``(3,)`` metres.
-        quat: ``(4,)`` unit quaternion wxyz. A device's own axes follow the convention as the
-            world's do: a headset that looks ahead has the identity.
+        quat: ``(4,)`` unit quaternion wxyz. The device's axes follow the same convention as the
+            world's: a headset that looks along x has the identity.
     """
 
     position: np.ndarray
@@ -73,12 +73,12 @@ class DevicePose(NamedTuple):
 
 @dataclass(frozen=True)
 class DeviceFrame:
-    """One moment of a stream of devices, in our convention.
+    """One frame of a stream of devices, in our convention.
 
     Attributes:
-        time_s: seconds on any clock that only goes forward, e.g. the predicted display time.
-        poses: devices of ``sensors.DEVICES`` that report in this moment. One that is asleep, or
-            has lost tracking, is left out.
+        time_s: seconds on any monotonic clock, e.g. the predicted display time.
+        poses: poses by name, of the devices of ``sensors.DEVICES`` that report in this frame.
+            Devices that sleep or have lost tracking are left out.
     """
 
     time_s: float
@@ -90,18 +90,18 @@ class DeviceFrame:
         poses: Mapping[str, Sequence[float] | np.ndarray | None],
         convention: str = "questsim",
     ) -> DeviceFrame:
-        """A frame of what another program reports.
+        """Make a frame from the poses of another program.
 
         Args:
             time_s: seconds.
-            poses: by device; None for one that does not report. Either 7 numbers, position x y z
-                and quaternion (wxyz in ``questsim``, xyzw elsewhere), or a matrix ``(3, 4)`` or
-                ``(4, 4)``, rotation beside position.
+            poses: poses by device; None for a device that does not report. A pose is either 7
+                numbers, position x y z and quaternion (wxyz in ``questsim``, xyzw elsewhere), or a
+                matrix ``(3, 4)`` or ``(4, 4)`` of rotation and position.
             convention: one of ``CONVENTIONS``.
 
         Raises:
             InputError: unknown device or convention, wrong shape, numbers that are not finite or
-                too large, a quaternion or matrix that is no rotation. Names the device.
+                too large, or a quaternion or matrix that is not a rotation. Names the device.
         """
         told = convention_named(convention)
         time_s = _time(time_s)
@@ -116,10 +116,10 @@ class DeviceFrame:
 
 
 def convention_named(name: str) -> Convention:
-    """The convention of a name.
+    """The convention with the given name.
 
     Raises:
-        InputError: there is none.
+        InputError: an unknown name.
     """
     if name not in CONVENTIONS:
         known = ", ".join(CONVENTIONS)
@@ -130,16 +130,16 @@ def convention_named(name: str) -> Convention:
 def to_ours(
     position: np.ndarray, quat: np.ndarray, convention: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions ``(..., 3)`` and quaternions ``(..., 4)`` of a convention, in ours.
+    """Convert positions ``(..., 3)`` and quaternions ``(..., 4)`` of a convention to ours.
 
-    Quaternions come in the convention's order and leave as wxyz.
+    Input quaternions are in the convention's order, output quaternions are wxyz.
     """
     told = convention_named(convention)
     quat = np.asarray(quat, float)
     if not told.scalar_first:
         quat = quat[..., [3, 0, 1, 2]]
     axes = told.matrix
-    # A change of handedness reverses turns: their axes are pseudovectors.
+    # A change of handedness reverses rotations: their axes are pseudovectors.
     turned = np.linalg.det(axes) * quat[..., 1:] @ axes.T
     position = told.unit_m * (np.asarray(position, float) @ axes.T)
     return position, np.concatenate([quat[..., :1], turned], axis=-1)
@@ -148,9 +148,9 @@ def to_ours(
 def from_ours(
     position: np.ndarray, quat: np.ndarray, convention: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions ``(..., 3)`` in metres and quaternions wxyz ``(..., 4)`` in a convention.
+    """Convert positions ``(..., 3)`` in metres and quaternions wxyz ``(..., 4)`` to a convention.
 
-    Positions leave in its unit, quaternions in its order; the inverse of ``to_ours``.
+    The inverse of ``to_ours``: positions in the convention's unit, quaternions in its order.
     """
     told = convention_named(convention)
     quat, axes = np.asarray(quat, float), told.matrix

@@ -1,8 +1,8 @@
 """Rotations, dual quaternions and forward kinematics of the 22 joints, differentiable in PyTorch.
 
 The arrays of ``questsim.rotations`` and ``Motion`` as tensors over any leading axes: quaternions
-wxyz, metres, z up. Dual quaternions are real part, then dual part, as in upc-pymotion, which does
-their arithmetic.
+wxyz, metres, z up. Dual quaternions are the real part, then the dual part, as in upc-pymotion,
+which computes them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def _ancestors() -> np.ndarray:
 
 PARENTS: list[int] = list(JOINT_PARENTS)
 ANCESTORS: Tensor = torch.as_tensor(_ancestors(), dtype=torch.float32)
-"""``(22, 22)``: entry (j, k) is 1 where bone k lies on the way from the root to joint j."""
+"""``(22, 22)``: entry (j, k) is 1 if bone k is on the path from the root to joint j."""
 
 
 def six_d_to_matrix(six: Tensor) -> Tensor:
@@ -56,10 +56,10 @@ def quat_to_matrix(quat: Tensor) -> Tensor:
 
 
 def matrix_to_quat(matrix: Tensor) -> Tensor:
-    """Unit quaternions ``(..., 4)`` of rotation matrices ``(..., 3, 3)``, of either sign.
+    """Unit quaternions ``(..., 4)`` of rotation matrices ``(..., 3, 3)``; the sign is arbitrary.
 
-    Each of the four rows below is the quaternion times four times one of its components; the
-    longest is the most exact (Bar-Itzhack 2000).
+    Each of the four rows below is the quaternion times four times one of its components. The
+    longest row is the most accurate (Bar-Itzhack 2000).
     """
     m = matrix.flatten(-2).unbind(-1)
     rows = torch.stack(
@@ -77,16 +77,16 @@ def matrix_to_quat(matrix: Tensor) -> Tensor:
 
 
 def yaw_matrix(cos: Tensor, sin: Tensor) -> Tensor:
-    """Turns about z ``(..., 3, 3)`` by the angle of that cosine and sine ``(...)``."""
+    """Rotations about z ``(..., 3, 3)`` of the cosine and sine ``(...)`` of an angle."""
     zero, one = torch.zeros_like(cos), torch.ones_like(cos)
     rows = [cos, -sin, zero, sin, cos, zero, zero, zero, one]
     return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
 
 
 def heading_matrix(matrix: Tensor) -> Tensor:
-    """The turn about z ``(..., 3, 3)`` towards which the x axis of ``(..., 3, 3)`` points.
+    """Heading as a rotation about z ``(..., 3, 3)``: the direction of the x axis on the floor.
 
-    An x axis that points straight up or down has no heading: then it is the identity.
+    An x axis that points straight up or down has no heading; the result is then the identity.
     """
     x, y = matrix[..., 0, 0], matrix[..., 1, 0]
     length = torch.sqrt(x * x + y * y)
@@ -111,10 +111,10 @@ def local_matrices(world: Tensor) -> Tensor:
 
 
 def positions_from_root(world: Tensor, offsets: Tensor) -> Tensor:
-    """Joints seen from the root ``(..., 22, 3)``: orientations ``(..., 22, 3, 3)`` in any frame.
+    """Joint positions relative to the root ``(..., 22, 3)``.
 
     Args:
-        world: of all joints, in one frame; the positions come in the same one.
+        world: ``(..., 22, 3, 3)`` orientations in any common frame; the result is in that frame.
         offsets: ``(..., 22, 3)`` as in ``Motion``.
     """
     bones = (world[..., PARENTS, :, :] @ offsets[..., None]).squeeze(-1)
@@ -152,15 +152,15 @@ def quat_rotate(quat: Tensor, vector: Tensor) -> Tensor:
 
 
 def unit_quat(quat: Tensor) -> Tensor:
-    """Quaternions ``(..., 4)`` of unit length; zeros become something finite."""
+    """Quaternions ``(..., 4)`` normalised to unit length; zeros give finite values."""
     return torch.nn.functional.normalize(quat, dim=-1)
 
 
 def continuous_signs(quat: Tensor, dim: int) -> Tensor:
-    """The same rotations with ``w >= 0`` at first and neighbours along ``dim`` close to each other.
+    """The same rotations, signs chosen: ``w >= 0`` first, neighbours along ``dim`` close.
 
     Args:
-        quat: ``(..., 4)`` or dual quaternions ``(..., 8)``, whose real part decides.
+        quat: ``(..., 4)``, or dual quaternions ``(..., 8)``, for which the real part decides.
         dim: the axis of time.
     """
     real = quat[..., :4]
@@ -172,7 +172,7 @@ def continuous_signs(quat: Tensor, dim: int) -> Tensor:
 
 
 def dual_quat(rotation: Tensor, translation: Tensor) -> Tensor:
-    """Unit dual quaternions ``(..., 8)``: first turn, then move.
+    """Unit dual quaternions ``(..., 8)``: rotation first, then translation.
 
     Args:
         rotation: ``(..., 4)`` unit quaternions.

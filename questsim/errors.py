@@ -1,4 +1,4 @@
-"""The one exception that means: the input is wrong, and here is what to do about it."""
+"""The exception for invalid input, with what is wrong, where, and how to fix it."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import re
 from pathlib import Path
 
 BAD_INPUT, INTERRUPTED = 2, 130
-"""Exit codes: input that cannot be used; Ctrl-C, as shells count it (128 + SIGINT)."""
+"""Exit codes: invalid input; Ctrl-C, as in shells (128 + SIGINT)."""
 LONGEST_QUOTE = 200
-"""Characters of what was given that a message repeats."""
+"""Greatest length of quoted input in a message."""
 LONGEST = 600
-"""Characters of each part of a message."""
+"""Greatest length of each part of a message."""
 
 
 class InputError(ValueError):
@@ -31,21 +31,21 @@ class InputError(ValueError):
 
 
 def _short(text: str | Path) -> str:
-    """The text with what it quotes, and itself, cut to a length that can be read."""
+    """The text, with its quotations and itself cut to a readable length."""
     cut = re.sub(rf"(['\"])([^'\"]{{{LONGEST_QUOTE}}})[^'\"]+\1", r"\1\2...\1", str(text))
     cut = re.sub(rf"(\S{{{LONGEST_QUOTE}}})\S{{8,}}", r"\1...", cut)
     return cut if len(cut) <= LONGEST else f"{cut[:LONGEST]}..."
 
 
 def at_least(least: float, **options: float | None) -> None:
-    """Refuse options of a command that are too small, or no number.
+    """Reject options of a command that are too small or not a number.
 
     Args:
-        least: what is allowed.
-        **options: values by name; None is not looked at.
+        least: smallest allowed value.
+        **options: values by name; None is ignored.
 
     Raises:
-        InputError: naming the first option that is smaller.
+        InputError: with the name of the first option that is smaller.
     """
     for name, value in options.items():
         if value is not None and not value >= least:  # NaN is not

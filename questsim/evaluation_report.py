@@ -1,4 +1,4 @@
-"""What an evaluation leaves behind: metrics.json, clips.csv, plots, and a table to read."""
+"""Files of an evaluation: metrics.json, clips.csv and plots, and a table for the terminal."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FILES: tuple[str, ...] = (
     "error_histogram.png",
     "metrics.json",
 )
-"""What ``write_report`` writes; metrics.json comes last and so marks a complete report."""
+"""Files of ``write_report``; metrics.json is written last and marks a complete report."""
 
 LABELS: dict[str, str] = {
     "clips": "clips",
@@ -54,19 +54,19 @@ LABELS: dict[str, str] = {
 }
 
 BY_GROUP = ("clips", "success", "mpjpe_cm", "mpjre_deg", "root_cm", "sip_deg", "jitter_km_s3")
-"""Which figures the table shows of each kind and style; metrics.json has them all."""
+"""Figures of each kind and style in the table; metrics.json contains all figures."""
 
 
 def check_writable(out: str | Path) -> None:
-    """Refuse a folder that a report could not be written to; leaves nothing behind.
+    """Reject a folder that a report cannot be written to; leaves no files behind.
 
-    To be called before an evaluation starts.
+    Call it before an evaluation starts.
 
     Raises:
         InputError: a file is in the way, or writing is not allowed.
     """
     created: list[Path] = []
-    # Asking for permissions would miss read-only file systems and bad names: only trying tells.
+    # Try to write: permissions alone do not show read-only file systems and invalid names.
     try:
         _make_folder(Path(out), created)
         with tempfile.TemporaryFile(dir=out):
@@ -81,7 +81,7 @@ def check_writable(out: str | Path) -> None:
 
 
 def _make_folder(folder: Path, created: list[Path]) -> None:
-    """Make a folder and those above it, noting each new one in ``created``, topmost first."""
+    """Make a folder and its parents; append each new one to ``created``, topmost first."""
     missing = [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
     for path in reversed(missing):
         path.mkdir()
@@ -90,7 +90,7 @@ def _make_folder(folder: Path, created: list[Path]) -> None:
 
 
 def _remove_empty(created: Sequence[Path]) -> None:
-    """Remove folders again that nothing was put into, lowest first."""
+    """Remove the created folders that are still empty, lowest first."""
     for path in reversed(created):
         with contextlib.suppress(OSError):
             path.rmdir()
@@ -99,18 +99,18 @@ def _remove_empty(created: Sequence[Path]) -> None:
 def write_report(
     rollouts: Sequence[Rollout], out_dir: str | Path, context: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """Write ``FILES`` into a folder; other files there are left alone.
+    """Write ``FILES`` into a folder; other files there are not touched.
 
-    Everything is made in a temporary folder inside ``out_dir`` and moved into place once all of
-    it is there, so a failure leaves an older report as it was.
+    The files are made in a temporary folder inside ``out_dir`` and moved into place when all are
+    complete. A failure leaves an older report unchanged.
 
     Args:
-        rollouts: one a clip.
+        rollouts: one per clip.
         out_dir: created if missing.
-        context: what to record beside the figures: agent, motions, config, versions, hashes.
+        context: data to record beside the figures: agent, motions, config, versions, hashes.
 
     Returns:
-        What metrics.json holds, as ``metrics.evaluate`` gives it.
+        The content of metrics.json, see ``metrics.evaluate``.
 
     Raises:
         InputError: no rollouts, or a folder that cannot be written.
@@ -141,12 +141,12 @@ def _write_files(rollouts: Sequence[Rollout], metrics: dict[str, Any], folder: P
 
 
 def _longest_completed(rollouts: Sequence[Rollout]) -> Rollout:
-    """The clip whose foot contacts are drawn: of those completed, if any, the longest."""
+    """The clip whose foot contacts are plotted: the longest completed one, else the longest."""
     return max(rollouts, key=lambda rollout: (rollout.completed, len(rollout)))
 
 
 def clips_csv(rollouts: Sequence[Rollout]) -> str:
-    """One line a clip: what it is, how far it came, and its own figures until the fall."""
+    """One line per clip: name and kind, frames followed, and figures until the fall."""
     text = io.StringIO()
     figures = [*METRICS, "real_time_factor"]
     about = ["name", "kind", "style", "height_m", "clip_frames", "frames", "completed"]
@@ -190,7 +190,7 @@ def format_table(metrics: Mapping[str, Any], width: int = 100) -> str:
     console = Console(file=io.StringIO(), width=width, color_system=None, markup=False)
     console.print(whole)
     console.print(_groups("kind of motion", metrics["by_kind"]))
-    # One style says no more than the whole does.
+    # A single style repeats the figures of the whole.
     if len(metrics["by_style"]) > 1:
         console.print(_groups("style", metrics["by_style"]))
     lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
@@ -198,7 +198,7 @@ def format_table(metrics: Mapping[str, Any], width: int = 100) -> str:
 
 
 def _groups(label: str, groups: Mapping[str, Any]) -> Table:
-    """A row of the most telling figures for each kind or style."""
+    """A row of the main figures for each kind or style."""
     table = Table(title=f"By {label}, all clips until the fall", title_justify="left")
     table.add_column(label.split()[0], no_wrap=True)
     for name in BY_GROUP:
@@ -218,7 +218,7 @@ def _with_interval(metrics: Mapping[str, Any], column: str, name: str) -> str:
 
 
 def _cell(name: str, value: float | None) -> str:
-    """A figure as the table shows it; ``-`` where there was nothing to average."""
+    """Format a figure for the table; ``-`` if there was nothing to average."""
     if value is None:
         return "-"
     if name in ("clips", "frames"):
@@ -227,7 +227,7 @@ def _cell(name: str, value: float | None) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """The same as JSON knows it: dataclasses become mappings, paths text, arrays lists."""
+    """Convert a value for JSON: dataclasses to mappings, paths to text, arrays to lists."""
     if is_dataclass(value) and not isinstance(value, type):
         return _plain(asdict(value))
     if isinstance(value, Mapping):

@@ -20,11 +20,11 @@ from questsim.errors import InputError
 
 GROUP = "questsim.extensions"
 VARIABLE = "QUESTSIM_EXTENSIONS"
-"""Modules by name, joined by commas; found in the current folder too."""
+"""Variable with module names, separated by commas; the current folder is searched too."""
 
 
 def same_source(old: Callable[..., Any], new: Callable[..., Any]) -> bool:
-    """Whether a function is an earlier one that was read again, as notebooks do."""
+    """Whether a function is a redefinition of an earlier one, as in notebooks."""
     return old.__qualname__ == new.__qualname__ and (
         old.__module__ == new.__module__ or old.__code__.co_filename == new.__code__.co_filename
     )
@@ -34,7 +34,7 @@ def load_extensions() -> tuple[str, ...]:
     """Import every extension; returns the names of their modules.
 
     Raises:
-        InputError: a module cannot be imported, or what it registers is refused.
+        InputError: a module cannot be imported, or its registration is rejected.
     """
     found = [(point.value, f"entry point {point.name!r}") for point in entry_points(group=GROUP)]
     named = [name.strip() for name in os.environ.get(VARIABLE, "").split(",") if name.strip()]

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Atomic writing of files and folders, and reading of YAML."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from questsim.errors import InputError
 
 @contextmanager
 def whole_file(path: str | Path) -> Iterator[Path]:
-    """A file beside ``path``, with its ending, that takes its place when the block is done.
+    """A temporary file beside ``path``, with its ending; replaces ``path`` when the block ends.
 
-    If the block raises, Ctrl-C included, it is removed, and what was at ``path`` stays.
+    If the block raises, also by Ctrl-C, the temporary file is removed and ``path`` is unchanged.
 
     Raises:
-        InputError: the folder is not there or cannot be written, or is full.
+        InputError: the folder is missing, cannot be written, or is full.
     """
     path = Path(path)
     try:
@@ -33,7 +33,7 @@ def whole_file(path: str | Path) -> Iterator[Path]:
         fresh = Path(name)
         try:
             yield fresh
-            # Temporary files are private; this one is for those who may read its folder.
+            # Temporary files are private; give this one the usual permissions.
             fresh.chmod(0o666 & ~_umask())
             fresh.replace(path)
         finally:
@@ -44,10 +44,10 @@ def whole_file(path: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def whole_folder(folder: Path) -> Iterator[Path]:
-    """A folder beside ``folder`` that takes its place when the block is done, and not before.
+    """A temporary folder beside ``folder``; replaces it when the block ends.
 
-    If the block raises, what was at ``folder`` stays and nothing else is left. A process that is
-    killed in between leaves what ``recover_folder`` puts right.
+    If the block raises, ``folder`` is unchanged and the temporary folder is removed. After a killed
+    process ``recover_folder`` restores the folder.
 
     Raises:
         InputError: it cannot be written, or there is no space left.
@@ -73,10 +73,10 @@ def whole_folder(folder: Path) -> Iterator[Path]:
 
 
 def recover_folder(folder: Path) -> None:
-    """Finish what ``whole_folder`` was killed in, between its two renames.
+    """Complete a ``whole_folder`` that was killed between its two renames.
 
-    The old folder is moved away only when the new one is whole. So where both are there and the
-    folder is not, the new one takes its place.
+    The old folder is moved away only when the new one is complete. So if both exist and ``folder``
+    does not, the new one replaces it.
     """
     fresh, old = _beside(folder)
     if not folder.exists() and old.exists():
@@ -85,20 +85,20 @@ def recover_folder(folder: Path) -> None:
 
 
 def _beside(folder: Path) -> tuple[Path, Path]:
-    """Where the new folder is made, and where the old one waits for it."""
+    """Paths of the new folder while it is made, and of the old one while it is replaced."""
     return folder.with_name(folder.name + ".new"), folder.with_name(folder.name + ".old")
 
 
 def read_yaml(path: Path, what: str) -> dict[str, Any]:
-    """A YAML file that holds a mapping.
+    """Read a YAML file that contains a mapping.
 
     Args:
         path: the file.
-        what: it should be, for the message.
+        what: the expected content, for error messages.
 
     Raises:
-        FileNotFoundError: there is no file.
-        InputError: it cannot be read, is no YAML, or holds something else.
+        FileNotFoundError: the file does not exist.
+        InputError: it cannot be read, is not YAML, or contains something else.
     """
     try:
         value = parse_yaml(path.read_text(encoding="utf-8"))
@@ -114,11 +114,11 @@ def read_yaml(path: Path, what: str) -> dict[str, Any]:
 
 
 def parse_yaml(text: str) -> Any:
-    """The value of a YAML text.
+    """Parse a YAML text.
 
     Raises:
-        ValueError: it is no YAML; also for dates that do not exist, numbers of thousands of
-            digits, and nesting that is too deep.
+        ValueError: it is not YAML, or has invalid dates, numbers with thousands of digits, or too
+            deep nesting.
     """
     try:
         return yaml.safe_load(text)

@@ -1,4 +1,4 @@
-"""A piece of ground as heights on a square grid: looked up, and built into MuJoCo models."""
+"""Height fields on a square grid: lookups, and geoms of MuJoCo models."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 STANCE_M = 0.25
-"""The ground under somebody is averaged with a Gaussian weight of this width: half a stride."""
+"""Width of the Gaussian that averages the ground under a user: half a stride."""
 _BASE_M = 0.5
 _LEAST_RELIEF_M = 1e-3
 """MuJoCo divides heights by their range."""
@@ -19,14 +19,14 @@ _LEAST_RELIEF_M = 1e-3
 class HeightField:
     """Heights above the user's own floor, ``[row, column]`` along y and x.
 
-    Between grid points the surface is MuJoCo's: two triangles a cell. Beyond the edge, lookups
-    give the edge's height, and there is nothing to stand on.
+    Between grid points the surface is MuJoCo's: two triangles per cell. Beyond the edge, lookups
+    return the height of the edge, but nothing collides there.
 
     Attributes:
-        height: ``(rows, columns)`` of the surface in metres.
-        ground: ``(rows, columns)`` what counts as the floor under somebody who stands there:
-            the surface averaged over a stance, gaps left out.
-        cell_m: distance of grid points.
+        height: ``(rows, columns)`` height of the surface in metres.
+        ground: ``(rows, columns)`` height of the floor under a user at this point: the surface
+            averaged over a stance, without gaps.
+        cell_m: spacing of the grid.
         origin: x and y of ``height[0, 0]`` in metres.
     """
 
@@ -42,14 +42,14 @@ class HeightField:
         carved: np.ndarray | None = None,
         origin: tuple[float, float] | None = None,
     ) -> HeightField:
-        """A field with its ground.
+        """Make a field and compute its ground.
 
         Args:
             height: ``(rows, columns)`` metres, at least two of each.
-            cell_m: distance of grid points.
-            carved: heights with gaps cut into them, if the surface has any; ``height`` is then
-                what the ground is averaged from.
-            origin: of ``height[0, 0]``; by default the field's middle is at x = y = 0.
+            cell_m: spacing of the grid.
+            carved: heights of the surface with gaps cut in, if it has any; ``height`` is then only
+                used to average the ground.
+            origin: x and y of ``height[0, 0]``; by default the centre is at x = y = 0.
         """
         rows, columns = height.shape
         middle = (-0.5 * cell_m * (columns - 1), -0.5 * cell_m * (rows - 1))
@@ -97,7 +97,7 @@ class HeightField:
         )
 
     def ground_at(self, points: np.ndarray) -> np.ndarray:
-        """The floor under somebody ``(...)`` at points ``(..., 2 or 3)``; bilinear."""
+        """Height of the ground ``(...)`` at points ``(..., 2 or 3)``; bilinear."""
         row, column, u, v = self._cell(points)
         ground = self.ground
         near = ground[row, column] * (1.0 - u) + ground[row, column + 1] * u
@@ -105,7 +105,7 @@ class HeightField:
         return near * (1.0 - v) + far * v
 
     def _cell(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Row, column and the place within the cell, 0 to 1 along x and y."""
+        """Row, column and the position within the cell, 0 to 1 along x and y."""
         rows, columns = self.height.shape
         x = np.clip((points[..., 0] - self.origin[0]) / self.cell_m, 0.0, columns - 1.0)
         y = np.clip((points[..., 1] - self.origin[1]) / self.cell_m, 0.0, rows - 1.0)
@@ -114,7 +114,7 @@ class HeightField:
         return row, column, x - column, y - row
 
     def replace_floor(self, spec: mujoco.MjSpec) -> None:
-        """Turn the plane ``floor`` of a spec into this field."""
+        """Replace the plane ``floor`` of a spec by this field."""
         low = float(self.height.min())
         relief = max(float(self.height.max()) - low, _LEAST_RELIEF_M)
         rows, columns = self.height.shape

@@ -1,7 +1,7 @@
-"""The devices of ``sensors`` on the 22 joints of a ``Motion``: what worn hardware would report.
+"""Signals of the devices of ``sensors``, worn on the 22 joints of a ``Motion``.
 
-A device is mounted on a joint by a fixed offset and turn, known from calibration. ``readings``
-gives its signals from a motion; ``joint_poses`` undoes the mounting.
+A device is mounted on a joint with a fixed offset and rotation, known from calibration.
+``readings`` computes its signals from a motion; ``joint_poses`` undoes the mounting.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from questsim.skeleton import JOINTS
 SENSOR_FPS = 60.0
 """Frames a second of the kinematic systems."""
 
-# The avatar's head link begins at the neck, and its head joint lies here in it (retarget_back).
+# Place of the motion's head joint in the avatar's head link, which begins at the neck.
 _HEAD_IN_LINK = np.array([0.01, 0.0, 0.09])
 _LINK_TO_JOINT = {
     "head": "head", "pelvis": "root",
@@ -36,7 +36,7 @@ _IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 
 @dataclass(frozen=True)
 class Mount:
-    """How a device sits on a person.
+    """Mounting of a device on a user.
 
     Attributes:
         joint: index of the joint among the 22.
@@ -50,10 +50,10 @@ class Mount:
 
 
 def mount(name: str, offsets: np.ndarray) -> Mount:
-    """Where a device sits on a person of offsets ``(22, 3)``.
+    """Mounting of a device on a user with offsets ``(22, 3)``.
 
     Raises:
-        InputError: there is no such device.
+        InputError: an unknown device.
     """
     if name not in DEVICES:
         raise InputError(f"unknown tracker {name!r}", fix=f"known are {', '.join(DEVICES)}")
@@ -74,14 +74,14 @@ def mount(name: str, offsets: np.ndarray) -> Mount:
 
 @dataclass(frozen=True)
 class SensorFrame:
-    """One moment of a stream.
+    """One frame of a stream.
 
     Attributes:
         time_s: seconds since the stream began.
         names: ``D`` devices of ``sensors.DEVICES``.
-        position: ``(D, 3)`` metres in the world; an IMU's is not read.
+        position: ``(D, 3)`` metres in the world; ignored for IMUs.
         quat: ``(D, 4)`` orientations wxyz.
-        acceleration: ``(D, 3)`` m/s^2 in the world without gravity; read of IMUs only.
+        acceleration: ``(D, 3)`` m/s^2 in the world without gravity; used for IMUs only.
         present: ``(D,)`` bool, whether the device reports in this frame.
     """
 
@@ -119,16 +119,16 @@ class SensorSequence:
 
 
 def readings(motion: Motion, names: Sequence[str]) -> SensorSequence:
-    """What devices report of a motion, at the motion's frame rate, without noise.
+    """Device signals of a motion, at the motion's frame rate, without noise.
 
-    Accelerations use no later frame than each; see ``sensors.imu_signal``.
+    Accelerations are causal; see ``sensors.imu_signal``.
 
     Args:
-        motion: resampled to ``SENSOR_FPS`` if a kinematic system is to read it.
-        names: devices.
+        motion: the motion; resample it to ``SENSOR_FPS`` for a kinematic system.
+        names: names of the devices.
 
     Raises:
-        InputError: there is no such device.
+        InputError: an unknown device.
     """
     joints, orientations = motion.forward_kinematics()
     mounts = [mount(name, motion.offsets) for name in names]
