@@ -55,7 +55,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "recordings show": Command(
         "agents.follower.replay", "show_recording", "ShowRecordingArgs",
-        "say what a recording holds, and plot its signals beside the contacts",
+        "summarise a recording, and plot its signals and foot contacts",
     ),
     "motions import": Command(
         "questsim.motion.motions_command", "import_motions", "ImportArgs",
@@ -63,7 +63,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "motions mapping": Command(
         "questsim.motion.motions_command", "start_mapping", "MappingArgs",
-        "write a mapping file, as a start, for a skeleton that is not recognised",
+        "write a draft of a mapping file for a skeleton that is not recognised",
     ),
     "motions fetch": Command(
         "questsim.motion.motions_command", "fetch_dataset", "FetchArgs",
@@ -79,7 +79,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "motions list": Command(
         "questsim.motion.motions_command", "list_motions", "ListMotionsArgs",
-        "say what a library, dataset, file or folder contains",
+        "list the contents of a library, dataset, file or folder",
     ),
     "motions show": Command(
         "questsim.viewing.show_command", "show_clip", "ShowArgs",
@@ -87,11 +87,11 @@ COMMANDS: dict[str, Command] = {
     ),
     "train": Command(
         "agents.commands.train", "", "TRAIN",
-        "train an agent, or go on with an earlier training",
+        "train an agent, or resume a training",
     ),
     "evaluate": Command(
         "agents.commands.evaluate", "", "EVALUATE",
-        "let an agent follow clips and score it",
+        "evaluate an agent on clips",
     ),
     "compare-runs": Command(
         "questsim.compare_runs_command", "compare_runs", "CompareRunsArgs",
@@ -99,7 +99,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "estimate": Command(
         "agents.comparison.estimate", "estimate", "EstimateArgs",
-        "write a library of what a kinematic system makes of motions",
+        "write a library of a kinematic system's estimates of motions",
     ),
     "envs": Command(
         "envs.list_command", "list_environments", "ListEnvsArgs",
@@ -202,7 +202,7 @@ def usage() -> str:
             "",
             *lines,
             "",
-            "questsim COMMAND --help tells a command's options.",
+            "questsim COMMAND --help lists the options of a command.",
         ]
     )
 

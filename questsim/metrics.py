@@ -1,7 +1,7 @@
-"""How well an avatar followed its clips: what an evaluation records and the figures from it.
+"""Metrics of an evaluation: recorded rollouts, and the figures computed from them.
 
-``metrics_terms`` holds the formulas; here they are applied to rollouts and averaged. A mean is
-over pooled frames: every frame of every clip of a group counts once, so long clips weigh more.
+``metrics_terms`` contains the formulas; this module applies them to rollouts and averages. A mean
+is over pooled frames: every frame of every clip of a group counts once, so long clips weigh more.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ Source: Luo et al., "Perpetual Humanoid Control", ICCV 2023; QuestSim ends episo
 """
 
 CONTACT_FORCE_N = 10.0
-"""A foot bears on the floor above this vertical force.
+"""A foot is in contact with the floor above this vertical force.
 
 Source: the cut-off for force plates in Leitch et al., Gait & Posture 33(1), 2011.
 """
 
 CONTACT_CLEARANCE_M = 0.005
-"""Without forces, a foot this near to the floor bears on it (PhysDiff's tolerance)."""
+"""Without forces, a foot this near to the floor is in contact (PhysDiff's tolerance)."""
 
 METRICS: tuple[str, ...] = (
     "mpjpe_cm",
@@ -55,7 +55,7 @@ METRICS: tuple[str, ...] = (
     "reference_foot_skate_cm_s",
     "penetration_cm",
 )
-"""What ``samples`` gives, in the order of reports; the unit ends each name."""
+"""Metrics of ``samples``, in the order of reports; each name ends with the unit."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,8 @@ class Rollout:
             pose shown without physics.
         fell: whether the simulation was ended: lost by 0.5 m, or no longer finite.
         seconds_simulated: simulated time.
-        seconds_wall: time it took; of a batch, this rollout's share. 0 if unknown.
-        objects: the objects that were there, with ``F`` poses each.
+        seconds_wall: wall-clock time; in a batch, this rollout's share. 0 if unknown.
+        objects: the objects of the scene, with ``F`` poses each.
 
     Raises:
         InputError: shapes do not agree, a number is not finite or a quaternion not of unit length.
@@ -145,25 +145,25 @@ class Rollout:
 
     @property
     def scored_frames(self) -> int:
-        """Frames before the first whose mean link error exceeds 0.5 m: all that is scored."""
+        """Number of scored frames: those before the mean link error first exceeds 0.5 m."""
         lost = self.link_error_m > MAX_LINK_ERROR_M
         return int(lost.argmax()) if lost.any() else len(self)
 
     @property
     def completed(self) -> bool:
-        """Whether it neither fell nor left 0.5 m."""
+        """Whether it did not fall and stayed within 0.5 m."""
         return not self.fell and self.scored_frames == len(self)
 
     @property
     def contact(self) -> np.ndarray:
-        """Whether each foot bears on the floor ``(F, 2)``, by its force or else its clearance."""
+        """Whether each foot is in contact ``(F, 2)``, by its force or else its clearance."""
         if self.contact_force is None:
             return self.foot_clearance < CONTACT_CLEARANCE_M
         return self.contact_force > CONTACT_FORCE_N
 
 
 def _check(array: np.ndarray, shape: tuple[int, ...], field: str, where: str) -> None:
-    """Refuse what a mean would hide: another shape, NaN, quaternions that are no rotation."""
+    """Reject errors that a mean would hide: wrong shape, NaN, invalid quaternions."""
     if array.shape != shape:
         raise InputError(f"{field} has shape {array.shape}, not {shape}", where)
     finite = np.isfinite(array)
@@ -180,8 +180,8 @@ def _check(array: np.ndarray, shape: tuple[int, ...], field: str, where: str) ->
 def samples(rollout: Rollout) -> dict[str, np.ndarray]:
     """Every sample of every metric of one rollout: name to ``(N,)``, as in ``METRICS``.
 
-    ``N`` differs: one a frame, one less for velocities, three less for jerk, one a foot and pair
-    of frames in contact for skating. Frames count until the fall.
+    ``N`` differs: one per frame, one less for velocities, three less for jerk, and for skating one
+    per foot and pair of frames in contact. Frames count until the fall.
     """
     frames = rollout.scored_frames
     position, quat = rollout.link_position[:frames], rollout.link_quat[:frames]
@@ -212,7 +212,7 @@ def samples(rollout: Rollout) -> dict[str, np.ndarray]:
 
 
 def summarise(rollouts: Sequence[Rollout]) -> dict[str, float | int | None]:
-    """The figures of one group of rollouts; None where there is nothing to average.
+    """Figures of one group of rollouts; None where there is nothing to average.
 
     Keys: ``clips``, ``frames`` (scored), ``success`` (fraction of clips that neither fell nor left
     0.5 m mean link error; Luo et al., ICCV 2023), those of ``samples``, ``real_time_factor``
@@ -304,7 +304,7 @@ def _mean(values: np.ndarray) -> float | None:
 
 @lru_cache(maxsize=64)
 def sole_spheres(height_m: float) -> tuple[np.ndarray, float]:
-    """The spheres each foot stands on: centres ``(2, 4, 3)`` in its frame, and radius, in m."""
+    """Sole spheres of the feet: centres ``(2, 4, 3)`` in the feet's frames, and radius, in m."""
     ratio = height_m / DEFAULT_HEIGHT_M
     radius = float(build_body().model.geom("left_heel_ball_outer").size[0])
     return (sole_points() + np.array([0.0, 0.0, radius])) * ratio, radius * ratio

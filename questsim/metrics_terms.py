@@ -1,4 +1,4 @@
-"""Each error of an evaluation as a pure function of arrays: one number a frame.
+"""Errors of an evaluation as pure functions of arrays: one number per frame.
 
 ``F`` frames, 16 links in the order of ``skeleton.LINKS``; positions in metres in the world,
 orientations as quaternions wxyz. A function returns its samples in the unit of its name, and
@@ -15,7 +15,7 @@ from questsim import sensors
 from questsim.skeleton import LINK_PARENTS, LINKS
 
 DEVICES: tuple[str, ...] = ("headset", "left_controller", "right_controller")
-"""What the device errors compare, whichever of them the policy was shown."""
+"""Devices that the device errors compare, whichever of them the policy observes."""
 
 SIP_LINKS: tuple[int, ...] = tuple(
     LINKS.index(name) for name in ("left_thigh", "right_thigh", "left_upper_arm", "right_upper_arm")
@@ -132,11 +132,11 @@ def device_errors(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Position error in cm ``(F,)`` and rotation error in degrees ``(F,)`` of the devices.
 
-    ``mhpe_cm`` and ``mhre_deg``: headset and both controllers, where the simulated head and hands
-    carry them against where the user's do; mean over the three, in the world, geodesic angles.
+    ``mhpe_cm`` and ``mhre_deg``: poses of headset and both controllers on the simulated head and
+    hands, compared with the user's; mean over the three, in the world, geodesic angles.
 
     Source: MHPE and MHRE of QuestSim table 1 and 2. With ``H`` alone all three are still
-    compared, so that sensor sets can be told apart.
+    compared, so that sensor sets are comparable.
 
     Args:
         position: ``(F, 16, 3)`` simulated link origins.
@@ -159,10 +159,10 @@ def foot_skate_cm_s(
     soles: tuple[np.ndarray, float],
     fps: float,
 ) -> np.ndarray:
-    """Slip in cm/s ``(K,)``: one sample for each foot and pair of frames that both bear on it.
+    """Slip in cm/s ``(K,)``: one sample for each foot and pair of frames in contact.
 
-    The horizontal speed of the point of the sole that stays nearest to the floor from one frame
-    to the next. A heel that rises over a planted ball is thus no slip, though the ankle moves.
+    The horizontal speed of the sole point that stays nearest to the floor from one frame to the
+    next. A heel that rises over a planted ball is therefore not counted, though the ankle moves.
 
     Source: "skate" of SimPoE (Yuan et al., CVPR 2021) and PhysDiff (Yuan et al., ICCV 2023), the
     displacement of feet in contact with the ground in two adjacent frames, as a speed.
@@ -170,9 +170,9 @@ def foot_skate_cm_s(
     Args:
         position: ``(F, 2, 3)`` origins of the feet.
         quat: ``(F, 2, 4)`` orientations of the feet.
-        contact: ``(F, 2)`` bool, whether the foot bears on the floor.
-        soles: centres ``(2, P, 3)`` in the feet's frames and radius of the spheres that a foot
-            stands on, in metres.
+        contact: ``(F, 2)`` bool, whether the foot is in contact with the floor.
+        soles: centres ``(2, P, 3)`` in the feet's frames and radius of the sole spheres, in
+            metres.
         fps: frames a second.
     """
     centres, radius = soles
@@ -190,10 +190,10 @@ def foot_skate_cm_s(
 
 
 def penetration_cm(clearance: np.ndarray) -> np.ndarray:
-    """How deep the deeper foot is in the floor, in cm ``(F,)``; zero above it.
+    """Penetration of the deeper foot into the floor in cm ``(F,)``; zero above it.
 
     Source: "penetrate" of PhysDiff (Yuan et al., ICCV 2023), here of the feet alone and without
-    its tolerance. A simulated foot that stands rests a little deep: contacts are soft.
+    its tolerance. A simulated stance foot penetrates slightly, because contacts are soft.
 
     Args:
         clearance: ``(F, 2)`` height in metres of the lowest point of each foot.

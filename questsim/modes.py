@@ -1,4 +1,4 @@
-"""A command that does one of several jobs: each has options of its own, and refuses the others'."""
+"""Commands with several modes: each mode has its own options and rejects those of the others."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from questsim.errors import InputError
 
 
 class Mode(NamedTuple):
-    """One job of a command.
+    """One mode of a command.
 
     Attributes:
-        name: how a user chooses it, for messages, e.g. ``--compare``.
+        name: the option that selects it, for messages, e.g. ``--compare``.
         args: the dataclass of its options.
-        function: does it; the dataclass is its only argument.
+        function: runs the mode; the dataclass is its only argument.
     """
 
     name: str
@@ -23,26 +23,26 @@ class Mode(NamedTuple):
     function: Callable[[Any], object]
 
     def options(self) -> set[str]:
-        """Its options as they are written, e.g. ``--video`` and ``--no-video``."""
+        """Its options as on the command line, e.g. ``--video`` and ``--no-video``."""
         return option_names(self.args)
 
 
 class Modes(NamedTuple):
-    """The jobs of a command, and how a command line chooses one.
+    """The modes of a command, and the function that selects one.
 
     Attributes:
-        modes: all of them; the first is that of a command line which chooses none.
-        choose: of the words of a command line: the mode, and the words that are its options.
+        modes: all modes; the first is the default.
+        choose: function from the words of a command line to the mode and the words of its options.
     """
 
     modes: tuple[Mode, ...]
     choose: Callable[[Sequence[str]], tuple[Mode, list[str]]]
 
     def chosen(self, words: Sequence[str]) -> tuple[Mode, list[str]]:
-        """The mode of a command line and its own words.
+        """The mode of a command line, and the words of its options.
 
         Raises:
-            InputError: an option is another mode's, or two modes are asked for.
+            InputError: an option of another mode, or two modes at once.
         """
         mode, rest = self.choose(words)
         own = mode.options()
@@ -57,10 +57,10 @@ class Modes(NamedTuple):
         return mode, rest
 
     def run(self, words: Sequence[str], prog: str | None = None) -> object:
-        """Parse a command line and do the job it asks for; returns what that returns.
+        """Parse a command line and run its mode; returns the mode's result.
 
         Raises:
-            InputError: see ``chosen``, and the job's own.
+            InputError: see ``chosen``; also errors of the mode itself.
         """
         import tyro
 
@@ -71,7 +71,7 @@ class Modes(NamedTuple):
 
 
 def option_names(args: type, prefix: str = "--") -> set[str]:
-    """Options that tyro makes of a dataclass, nested ones as ``--outer.inner``."""
+    """Options that tyro makes from a dataclass, nested ones as ``--outer.inner``."""
     names: set[str] = set()
     hints = get_type_hints(args)
     for field in fields(args):

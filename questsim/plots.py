@@ -43,9 +43,9 @@ MAX_PANELS = 24
 
 @contextmanager
 def figure_file(path: Path, width: float, height: float) -> Iterator[Figure]:
-    """A figure in inches that is written to ``path`` when the block ends.
+    """A figure, size in inches, that is written to ``path`` when the block ends.
 
-    It is made without pyplot, so nothing global has to be closed and no display is looked for.
+    It is made without pyplot, so there is no global state to close and no display is needed.
     """
     with matplotlib.rc_context(STYLE):  # type: ignore[arg-type]
         figure = Figure(figsize=(width, height), layout="constrained")
@@ -55,7 +55,7 @@ def figure_file(path: Path, width: float, height: float) -> Iterator[Figure]:
 
 
 def _panels(figure: Figure, count: int, columns: int, **kwargs: Any) -> list[Axes]:
-    """``count`` axes in a grid; the places left over stay empty."""
+    """``count`` axes in a grid; the remaining cells stay empty."""
     rows = -(-count // columns)
     axes = figure.subplots(rows, columns, squeeze=False, **kwargs).ravel()
     for unused in axes[count:]:
@@ -76,7 +76,7 @@ def _by_kind(rollouts: Sequence[Rollout]) -> dict[str, list[Rollout]]:
 def plot_error_over_time(rollouts: Sequence[Rollout], path: Path) -> None:
     """Mean link error against time, one panel for each kind of motion.
 
-    A thin line is a clip, a cross where it was lost; the thick one is the median of those still up.
+    A thin line is a clip, a cross marks its loss. The thick line is the median of the other clips.
     At most 24 kinds are shown, those with the most clips.
     """
     kinds = _by_kind(rollouts)
@@ -118,7 +118,7 @@ def _draw_errors(axis: Axes, rollouts: Sequence[Rollout]) -> None:
 
 
 def plot_by_kind(metrics: Mapping[str, Any], path: Path) -> None:
-    """Success and mean link error of each kind of motion as bars, of what ``evaluate`` gives."""
+    """Bars of success and mean link error by kind of motion, from the result of ``evaluate``."""
     kinds = dict(sorted(metrics["by_kind"].items(), reverse=True))
     figures = [columns["all"] for columns in kinds.values()]
     labels = [f"{kind} ({f['clips']})" for kind, f in zip(kinds, figures, strict=True)]
@@ -137,7 +137,7 @@ def plot_by_kind(metrics: Mapping[str, Any], path: Path) -> None:
 
 
 def plot_contacts(rollout: Rollout, path: Path) -> None:
-    """Vertical force on each foot against time, over the times at which the reference stands.
+    """Vertical force on each foot against time; the reference's contacts are shaded.
 
     Without forces (a pose shown without physics) the height of the feet is drawn instead.
     """
@@ -172,7 +172,7 @@ def plot_contacts(rollout: Rollout, path: Path) -> None:
 
 
 def plot_error_histogram(rollouts: Sequence[Rollout], path: Path) -> None:
-    """How many clips have which mean link error until their fall."""
+    """Histogram of the clips' mean link errors until their fall."""
     rollouts = [rollout for rollout in rollouts if rollout.scored_frames]
     error = np.array([100.0 * r.link_error_m[: r.scored_frames].mean() for r in rollouts])
     completed = np.array([rollout.completed for rollout in rollouts], bool)

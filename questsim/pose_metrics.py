@@ -1,4 +1,4 @@
-"""Errors of estimated poses on the 22 joints, each as the paper that reports it defines it.
+"""Errors of estimated poses on the 22 joints, as defined in the papers that report them.
 
 ``F`` frames; positions ``(F, 22, 3)`` in metres in the world, rotations ``(F, 22, 4)`` quaternions
 wxyz in the parent, as in ``Motion``. A function returns its samples, one a frame or fewer; means
@@ -29,14 +29,14 @@ FEET: tuple[int, ...] = tuple(
 )
 
 PLANTED_M_S = 0.1
-"""A foot's joint slower than this, and low, is one that stands."""
+"""A low foot joint slower than this is in stance."""
 CONTACT_M = 0.02
-"""A foot's joint this near to where it stands on the floor is taken to bear on it."""
+"""A foot joint within this distance of its standing height is in contact with the floor."""
 STANDING_PERCENTILE = 10.0
 
 
 def aligned(position: np.ndarray, reference: np.ndarray, joint: int) -> np.ndarray:
-    """Positions moved, not turned, so that one joint lies on the reference's in every frame."""
+    """Positions translated so that one joint coincides with the reference's in every frame."""
     return position + (reference[:, joint] - position[:, joint])[:, None]
 
 
@@ -86,10 +86,10 @@ def rot_deg(rotations: np.ndarray, reference: np.ndarray) -> np.ndarray:
 
 
 def planted(reference: np.ndarray, fps: float) -> np.ndarray:
-    """Whether the user's ankles and toes stand still, bool ``(F - 1, 4)``, between two frames.
+    """Whether the user's ankles and toes are planted between two frames, bool ``(F - 1, 4)``.
 
-    A joint does while it is within 2 cm of its standing height, which is the 10th percentile of its
-    heights, and slower than 10 cm/s.
+    A joint is planted while it is slower than 10 cm/s and within 2 cm of its standing height, the
+    10th percentile of its heights.
     """
     feet = reference[:, FEET]
     moved = np.linalg.norm(np.diff(feet[..., :2], axis=0), axis=-1) * fps
@@ -97,11 +97,11 @@ def planted(reference: np.ndarray, fps: float) -> np.ndarray:
 
 
 def foot_skate_cm_s(position: np.ndarray, reference: np.ndarray, fps: float) -> np.ndarray:
-    """Horizontal speed in cm/s ``(K,)`` of ankles and toes that should stand still.
+    """Horizontal speed in cm/s ``(K,)`` of ankles and toes that should be planted.
 
     Counted where the user's joint is ``planted`` and the estimate's is within 2 cm of its standing
-    height as well. Height alone would not do: a toe that swings over the floor comes as near, and
-    the recordings themselves would skate by 10 cm/s. One sample a joint and pair of frames; see
+    height. Height alone is not enough: a swinging toe comes as near to the floor, and the
+    recordings themselves would skate by 10 cm/s. One sample per joint and pair of frames; see
     ``metrics_terms`` for the sources of the measure.
     """
     feet = position[:, FEET]
@@ -122,13 +122,13 @@ def _low(feet: np.ndarray, reference: np.ndarray) -> np.ndarray:
 
 
 def floor_penetration_cm(position: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """How far the deepest ankle or toe is below its standing height, in cm ``(F,)``."""
+    """Depth of the deepest ankle or toe below its standing height, in cm ``(F,)``."""
     depth = standing_heights(reference) - position[:, FEET, 2]
     return np.maximum(depth.max(axis=-1), 0.0) * _CM
 
 
 def standing_heights(reference: np.ndarray) -> np.ndarray:
-    """Height in metres ``(4,)`` of ankles and toes of someone who stands, from a recording."""
+    """Standing height in metres ``(4,)`` of ankles and toes, estimated from a recording."""
     return np.percentile(reference[:, FEET, 2], STANDING_PERCENTILE, axis=0)
 
 
@@ -151,8 +151,8 @@ def pose_samples(
         position, rotations: estimated.
         reference, reference_rotations: of the user.
         fps: frames a second of both.
-        ends: joints of ``ee``. Those that carry a device, as DragPoser must have it: its error with
-            four trackers, none on the feet, is that with six.
+        ends: joints of ``ee``: those that carry a device. DragPoser must use the same ones: it
+            reports the same error with four trackers, none on the feet, as with six.
     """
     by_head = aligned(position, reference, HEAD)
     by_root = aligned(position, reference, ROOT)

@@ -1,4 +1,4 @@
-"""People of other proportions: the lengths of a skeleton's bone groups, measured and changed."""
+"""Body proportions: measure and change the lengths of a skeleton's bone groups."""
 
 from __future__ import annotations
 
@@ -102,10 +102,10 @@ def leg_length(offsets: np.ndarray) -> np.ndarray:
 
 
 def resized(motion: Motion, scales: np.ndarray) -> Motion:
-    """The same joint angles of a person of other proportions, feet on the same floor.
+    """Apply a motion's joint angles to other proportions, with the feet on the same floor.
 
-    The root's path scales with the legs, and is raised or lowered so that the lower ankle comes
-    as near to the floor as before, in proportion.
+    The root's path scales with the legs. It is raised or lowered so that the height of the lower
+    ankle scales as well.
 
     Args:
         motion: any.

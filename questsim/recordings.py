@@ -36,17 +36,17 @@ DECIMALS = 5
 EXAMPLE = "synthetic"
 """Name of the shipped recording, two minutes of a user who does not exist."""
 MAX_FRAMES = 1_000_000
-"""A file with more is refused: three hours at 90 Hz."""
+"""Greatest number of frames in a file: three hours at 90 Hz."""
 _CSV_PARTS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What devices reported.
+    """Recorded device frames.
 
     Attributes:
-        frames: in our convention; times go forward.
-        calibration: what was known of the user, as ``Calibration.of`` reads it; None if nothing.
+        frames: in our convention, in the order of time.
+        calibration: calibration of the user for ``Calibration.of``; None if there is none.
     """
 
     frames: tuple[DeviceFrame, ...]
@@ -65,16 +65,16 @@ class Recording:
 
 
 class RecordingWriter:
-    """Writes frames as they come; the file appears, whole, when the block ends without an error.
+    """Writes frames one by one; the file appears when the block ends without an error.
 
     Args:
         path: the file, ``.jsonl.gz``.
-        convention: of the numbers in the file.
-        calibration: of the user, if there is one.
-        decimals: of the numbers.
+        convention: convention of the numbers in the file.
+        calibration: calibration of the user, if there is one.
+        decimals: number of decimals.
 
     Raises:
-        InputError: the file's name ends otherwise, or the convention is unknown.
+        InputError: the file has another suffix, or the convention is unknown.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ def write_recording(
     calibration: Mapping[str, Any] | None = None,
     decimals: int = DECIMALS,
 ) -> None:
-    """Write frames that are all there already; see ``RecordingWriter``."""
+    """Write a complete list of frames; see ``RecordingWriter``."""
     with RecordingWriter(path, convention, calibration, decimals) as writer:
         for frame in frames:
             writer.write(frame)
@@ -142,7 +142,7 @@ def read_recording(path: Path, convention: str | None = None) -> Recording:
 
     Args:
         path: the file, or ``synthetic`` for the shipped one.
-        convention: of a CSV file, which does not say it itself; not for others.
+        convention: convention of a CSV file; not allowed for other files, which contain it.
 
     Raises:
         InputError: naming file and line: another format or version, values that are no poses,
@@ -169,7 +169,7 @@ def read_recording(path: Path, convention: str | None = None) -> Recording:
 
 
 def example_path() -> Path:
-    """Where the shipped recording is; ``synthetic_user.example_frames`` made it."""
+    """Path of the shipped recording; ``synthetic_user.example_frames`` made it."""
     return Path(__file__).parent / "examples" / f"synthetic-user{SUFFIX}"
 
 
@@ -232,7 +232,7 @@ def _frame(time_s: Any, poses: Mapping[str, Any], convention: str, where: str) -
 
 
 def _csv_frames(path: Path, convention: str) -> list[DeviceFrame]:
-    """Columns ``time_s`` and ``DEVICE_x`` to ``DEVICE_qw``; empty cells are silent devices."""
+    """Columns ``time_s`` and ``DEVICE_x`` to ``DEVICE_qw``; empty cells mean no report."""
     convention_named(convention)
     frames = []
     with path.open(newline="", encoding="utf-8-sig") as file:
@@ -272,7 +272,7 @@ def _number(cell: str | None, column: str, where: str) -> float:
 
 
 def _iwer_frames(path: Path) -> list[DeviceFrame]:
-    """What iwer's ActionRecorder logs: a schema of input sources, and frames of numbers.
+    """Read a log of iwer's ActionRecorder: a schema of input sources, and frames of numbers.
 
     A frame is: time in ms, position and quaternion of the head, and for each source its index,
     target ray, and grip where it has one. Source: iwer 2.5.0, ``ActionRecorder.log``.
@@ -300,7 +300,7 @@ def _iwer_frames(path: Path) -> list[DeviceFrame]:
 
 
 def _unit(poses: Mapping[str, list[float]]) -> dict[str, list[float]]:
-    """Poses whose quaternions are of unit length: iwer rounds them to three decimals."""
+    """Poses with normalised quaternions: iwer rounds them to three decimals."""
     out = {}
     for name, pose in poses.items():
         length = float(np.linalg.norm(pose[3:]))

@@ -1,12 +1,12 @@
-"""The reward: a table of terms, each a pure function of a moment of a batch.
+"""The reward: a table of terms, each a pure function of one step of a batch.
 
 r = w . [r(q), r(qdot), r(x), r(xdot), r_f] with r(s) = exp(-k_s * error), QuestSim section 3.
-The published error is a sum of squares; as k = 40 only makes sense for a mean (0.1 rad a joint,
-summed over 33, would already give exp(-13)), errors here are means over joints or links.
+The published error is a sum of squares. But k = 40 only makes sense for a mean: 0.1 rad per joint,
+summed over 33 joints, would already give exp(-13). So errors here are means over joints or links.
 
-To add a term, write a function ``(moment, k) -> (n,)`` and give it a line in ``TERMS``, or from
-another package ``register_term``; ``docs/examples/new_reward.py`` does. Its weight is an option
-then: ``RewardConfig(NAME=0.1)``, ``train.py --set stages.teacher.reward.NAME=0.1``.
+To add a term, write a function ``(moment, k) -> (n,)`` and add a line to ``TERMS``, or call
+``register_term`` from another package, as ``docs/examples/new_reward.py`` does. Its weight is then
+an option: ``RewardConfig(NAME=0.1)``, ``train.py --set stages.teacher.reward.NAME=0.1``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from questsim.extensions import same_source
 
 
 class Moment(NamedTuple):
-    """A step of ``n`` simulations, as the terms of the reward see it; all in the world.
+    """Data of a step of ``n`` simulations for the reward terms; all in the world.
 
     Attributes:
         joint_angles, joint_velocities: ``(n, 33)`` rad, rad/s.
@@ -30,9 +30,9 @@ class Moment(NamedTuple):
         link_quats: ``(n, 16, 4)`` wxyz.
         foot_force: ``(n, 2)`` vertical force of the floor on each foot, N.
         previous_foot_force: ``(n, 2)`` the same one step earlier.
-        torque: ``(n, 33)`` N m that the joints' motors gave during the step.
+        torque: ``(n, 33)`` N m of the joints' motors during the step.
         torque_limits: ``(n, 33)`` N m.
-        reference: what the clip asks for.
+        reference: state of the reference.
     """
 
     joint_angles: np.ndarray
@@ -48,7 +48,7 @@ class Moment(NamedTuple):
 
 
 class Reference(NamedTuple):
-    """What the clip asks for in a ``Moment``; fields as there."""
+    """State of the reference in a ``Moment``; fields as there."""
 
     joint_angles: np.ndarray
     joint_velocities: np.ndarray
@@ -64,9 +64,9 @@ class Term(NamedTuple):
     """A line of the table.
 
     Attributes:
-        function: of a ``Moment`` and ``k``: ``(n,)``, which the weight multiplies.
-        weight: by default.
-        k: by default; kernel width, or what else the function makes of it.
+        function: function of a ``Moment`` and ``k`` that returns ``(n,)``, before weighting.
+        weight: default weight.
+        k: default k: kernel sharpness, or another parameter of the function.
     """
 
     function: Function
@@ -131,10 +131,10 @@ TERMS: dict[str, Term] = {
 """Every term by name, with its default weight and k.
 
 The weights and the k of angles, positions and contact are QuestSim's. Its velocity kernels, 0.3
-and 2, only reward good tracking: joints that are off by 3 rad/s already earn exp(-2.7). The
-defaults are softer, so that a beginner is rewarded for progress too. Orientations of the links are
-not a term of QuestSim's; without weight by default, they tell a teacher that it turns or leans
-before its links are far off.
+and 2, only reward good tracking: a joint velocity error of 3 rad/s already gives exp(-2.7). The
+defaults are softer, so that an untrained policy is rewarded for progress too. Link orientations are
+not a term of QuestSim; their default weight is zero. They penalise a teacher's turn or lean before
+the position errors become large.
 """
 
 COMPILED: tuple[str, ...] = tuple(TERMS)
@@ -173,10 +173,10 @@ class RewardConfig:
     """Weights and k of the terms: ``RewardConfig(contact=0.0, k_link_positions=60.0)``.
 
     A frozen dataclass whose fields are those of the table: each term's name for its weight, and
-    ``k_`` before the name for its k. What is not given is the table's.
+    ``k_`` before the name for its k. Omitted fields have the table's defaults.
 
     Raises:
-        InputError: there is no such term.
+        InputError: an unknown term.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]] = _options()
@@ -217,7 +217,7 @@ class RewardConfig:
 
     @property
     def terms(self) -> tuple[str, ...]:
-        """Names of those that are computed: the compiled ones, and others that have a weight."""
+        """Names of the computed terms: the compiled ones, and others with a nonzero weight."""
         return (*COMPILED, *(n for n in TERMS if n not in COMPILED and getattr(self, n) != 0.0))
 
     @property
@@ -239,7 +239,7 @@ def extra_terms(config: RewardConfig, moment: Moment) -> np.ndarray:
     """Terms ``(n, e)`` that are not compiled, in the order of ``config.terms``.
 
     Raises:
-        ValueError: a function's result has another shape.
+        ValueError: a function's result has the wrong shape.
     """
     n, columns = len(moment.torque), []
     for name in config.terms[len(COMPILED) :]:

@@ -1,8 +1,8 @@
-"""How plausible a motion is to physics: the force on its root that nothing in the world supplies.
+"""Physical plausibility of a motion: the residual force on its root.
 
-Inverse dynamics asks which generalised forces a motion needs, and gives the floor what it can carry
-at soles near it. A person has muscles at the joints but nothing that pulls at the pelvis: what is
-left there is what the motion gets wrong, be it floating, jerking or leaning without a foot below.
+Inverse dynamics computes the generalised forces of a motion. The floor supplies as much as it can
+at soles near it. Muscles act on joints, not on the pelvis, so any force left at the root is an
+error of the motion: floating, jerking, or leaning without support.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from questsim.motion.inverse_dynamics import InverseDynamics
 
 
 def root_force(clip: Clip) -> np.ndarray:
-    """Force on the root in body weights ``(T,)``; 1 is someone who hovers, 0 someone plausible.
+    """Residual force on the root in body weights ``(T,)``; 0 is plausible, 1 is hovering.
 
-    Velocities are the clip's, accelerations their differences. The floor may give any force inside
-    a friction pyramid at sole points within 1.5 cm of it (``InverseDynamics``), so that retargeting
-    or an estimate that is off by millimetres does not count as floating.
+    Velocities are the clip's, accelerations their differences. The floor may supply any force
+    inside a friction pyramid at sole points within 1.5 cm of it (``InverseDynamics``), so that
+    errors of millimetres from retargeting or estimation do not count as floating.
 
     Args:
-        clip: for its own stature.
+        clip: a clip at its own stature.
     """
     dynamics = _dynamics(round(clip.height_m, 4))
     return np.linalg.norm(dynamics.forces(clip)[:, :3], axis=-1) / dynamics.weight_n

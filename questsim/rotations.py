@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-# Euler angles in gimbal lock are as good as others: SciPy sets the free one to zero.
+# In gimbal lock SciPy sets the free Euler angle to zero, which is valid; hide its warning.
 warnings.filterwarnings("ignore", message="Gimbal lock detected")
 
 
@@ -115,8 +115,8 @@ def continuous(quat: np.ndarray) -> np.ndarray:
 def resample_quat(quat: np.ndarray, times: np.ndarray, new_times: np.ndarray) -> np.ndarray:
     """Slerp of ``(T, ..., 4)`` from ``times`` ``(T,)`` to ``new_times`` ``(N,)``, in seconds.
 
-    As SciPy's ``Slerp`` has it, but of all rotations at once: joint by joint takes four times as
-    long.
+    Same result as SciPy's ``Slerp``, but for all joints at once; one joint at a time takes four
+    times as long.
     """
     quat = np.asarray(quat, float)
     before = np.maximum(np.searchsorted(times, new_times) - 1, 0)

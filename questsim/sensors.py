@@ -1,8 +1,8 @@
 """Headset, controllers, trackers and IMUs as rigid offsets from the links that carry them.
 
-A device's frame stands along its link's in the zero pose: x forward, y left, z up, when the
-person stands upright with arms hanging. Offsets are those of the 1.75 m body and scale with
-height. Signals are synthetic, as QuestSim's are: constant offsets, no noise unless asked for.
+A device's frame is aligned with its link's in the zero pose: x forward, y left, z up, when the user
+stands upright with arms hanging. Offsets are those of the 1.75 m body and scale with height.
+Signals are synthetic, as in QuestSim: constant offsets, and no noise by default.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def device_poses(
 
 @dataclass(frozen=True)
 class ImuSignal:
-    """What IMUs report over ``T`` frames, all in the world's axes.
+    """Signals of IMUs over ``T`` frames, all in the world's axes.
 
     Attributes:
         quat: ``(T, D, 4)`` orientation.
@@ -113,10 +113,10 @@ class ImuSignal:
 
 
 def imu_signal(position: np.ndarray, quat: np.ndarray, fps: float) -> ImuSignal:
-    """IMU readings from poses ``(T, D, 3)``, ``(T, D, 4)``, using no later frame than each.
+    """Causal IMU readings from poses ``(T, D, 3)``, ``(T, D, 4)``.
 
     Acceleration is the backward second difference, angular velocity the backward difference;
-    frames before the first are taken to be as the first, at rest.
+    the device is at rest before the first frame.
     """
     before = np.concatenate([position[:1], position[:1], position])
     acceleration = (before[2:] - 2.0 * before[1:-1] + before[:-2]) * fps**2
@@ -129,16 +129,16 @@ def imu_signal(position: np.ndarray, quat: np.ndarray, fps: float) -> ImuSignal:
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Imperfections of devices, none by default.
+    """Sensor noise of the devices; none by default.
 
     Attributes:
         position_std_m: standard deviation of white noise on every coordinate.
         rotation_std_rad: standard deviation of a white rotation vector.
-        latency_frames: frames by which every signal is late.
-        dropout: chance a frame that a device falls silent ...
-        dropout_frames: ... and for how many frames it then repeats its last pose.
-        mount_m: greatest distance by which a device is mounted off for all of a clip ...
-        mount_rad: ... and greatest angle.
+        latency_frames: latency of every signal in frames.
+        dropout: probability per frame that a dropout of a device begins.
+        dropout_frames: duration of a dropout; the device then repeats its last pose.
+        mount_m: greatest distance of a device from its nominal mount, constant in a clip.
+        mount_rad: greatest angle from its nominal mount.
     """
 
     position_std_m: float = 0.0
@@ -152,7 +152,7 @@ class SensorNoise:
     def apply(
         self, position: np.ndarray, quat: np.ndarray, rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Disturbed copies of a clip's device poses ``(T, D, 3)`` and ``(T, D, 4)``."""
+        """Copies of a clip's device poses ``(T, D, 3)`` and ``(T, D, 4)`` with noise."""
         frames, devices = position.shape[:2]
         late = np.maximum(np.arange(frames) - self.latency_frames, 0)
         if self.mount_m or self.mount_rad:
@@ -171,7 +171,7 @@ class SensorNoise:
     def _mounted(
         self, position: np.ndarray, quat: np.ndarray, rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Poses of devices that sit elsewhere on their links, turned."""
+        """Poses of devices with mounting errors."""
         devices = position.shape[1]
         offset, turn = rng.normal(0.0, 1.0, (2, devices, 3))
         size = rng.random((2, devices, 1))
@@ -181,7 +181,7 @@ class SensorNoise:
         return position + rot.quat_rotate(quat, offset), rot.quat_multiply(quat, turned)
 
     def _shown_frames(self, frames: int, rng: np.random.Generator) -> np.ndarray:
-        """For each frame the frame whose pose is delivered, ``(T,)``."""
+        """For each frame, the frame of the delivered pose ``(T,)``."""
         shown, silent_until = np.arange(frames), -1
         falls_silent = rng.random(frames) < self.dropout
         for frame in range(1, frames):
@@ -200,4 +200,4 @@ REAL_DEVICES = SensorNoise(
     mount_m=0.03,
     mount_rad=np.radians(10.0),
 )
-"""As headsets and controllers are when they are put on quickly and seen badly."""
+"""Noise of carelessly worn headsets and controllers with poor tracking."""

@@ -75,7 +75,7 @@ joint turn in the order given. The shoulder's x and y are turned 45 degrees abou
 """
 
 FEET: tuple[str, str] = ("left_foot", "right_foot")
-"""The order of everything that has one entry a foot."""
+"""The order of arrays with one entry per foot."""
 
 NUM_JOINTS, NUM_LINKS, NUM_DOFS = len(JOINTS), len(LINKS), len(DOFS)
 FOOT_LINKS: tuple[int, int] = (LINKS.index("left_foot"), LINKS.index("right_foot"))

@@ -1,7 +1,7 @@
-"""Scores of an avatar that followed real devices, where nobody knows the user's body.
+"""Scores of an avatar that follows real devices, when the user's full-body pose is unknown.
 
-QuestSim's columns for real users: how far the avatar's devices are from the user's, and how
-plausible the motion is by itself. Formulas are those of ``metrics_terms``.
+These are QuestSim's columns for real users: device errors and plausibility of the motion. The
+formulas are those of ``metrics_terms``.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ class Track:
         names: ``D`` devices that report.
         user_position, user_quat: ``(T, D, 3)``, ``(T, D, 4)``.
         present: ``(T, D)`` bool, whether a device reports.
-        position, quat: where the avatar carries them.
+        position, quat: poses of the devices on the avatar, ``(T, D, 3)``, ``(T, D, 4)``.
         link_position, link_quat: ``(T, 16, 3)``, ``(T, 16, 4)``.
         qpos: ``(T, 40)``.
         contact_force: ``(T, 2)`` vertical, N.
         assist_force: ``(T,)`` N.
-        events: what happened, in words, with times in seconds.
+        events: texts of events, with times in seconds.
     """
 
     time_s: np.ndarray
@@ -62,12 +62,11 @@ class Track:
 def track_of(
     frames: Sequence[DeviceFrame], poses: Sequence[AvatarPose], floor_m: float = 0.0
 ) -> Track:
-    """The poses of a replay beside what the devices reported at their times.
+    """Combine the poses of a replay with the device frames at the same times.
 
     Args:
-        frames: calibrated, so that every device is where the avatar would carry it, over a floor
-            at z = 0.
-        poses: one a frame, in the devices' space.
+        frames: calibrated frames: device poses as on the avatar, above a floor at z = 0.
+        poses: one per frame, in the devices' space.
         floor_m: height of the floor in that space.
 
     Raises:
@@ -77,7 +76,7 @@ def track_of(
     wanted = np.arange(times[0], times[-1], 1.0 / FPS) if len(times) else times
     if len(wanted) < FPS:
         raise InputError("fewer than a second of poses", "recording", "record longer")
-    # Each is the last pose of its time or before: interpolating would smooth what is scored.
+    # Take the last pose at or before each time: interpolation would smooth the scored motion.
     chosen = [poses[i] for i in np.searchsorted(times, wanted + 1e-9, side="right") - 1]
     height = poses[0].height_m
     names = tuple(n for n in HEAD_AND_HANDS if any(n in f.poses for f in frames))
@@ -109,7 +108,7 @@ def track_of(
 def _devices_at(
     frames: Sequence[DeviceFrame], times: np.ndarray, names: Sequence[str]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Poses of devices at times, interpolated; absent where they are silent for 0.1 s."""
+    """Interpolated device poses at given times; absent in gaps of 0.1 s or more."""
     position, quat = np.zeros((len(times), len(names), 3)), np.zeros((len(times), len(names), 4))
     quat[..., 0] = 1.0
     present = np.zeros((len(times), len(names)), bool)

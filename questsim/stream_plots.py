@@ -1,4 +1,4 @@
-"""The plot of a recording: signals of the devices by axis, beside the contacts of the feet."""
+"""Plot of a recording: device signals by axis, and contact forces of the feet."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def plot_signals(track: Track, path: Path) -> None:
     After QuestSim's Fig. 4. A signal is interrupted where its device does not report.
 
     Args:
-        track: of a replay.
-        path: the PNG.
+        track: track of a replay.
+        path: PNG file to write.
     """
     devices = track.names
     with figure_file(path, 9.0, 1.25 * (len(devices) + 1) + 0.8) as figure:

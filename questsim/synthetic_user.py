@@ -1,9 +1,8 @@
-"""Device streams of users who do not exist: clips of the avatar, seen by imperfect devices.
+"""Device streams of synthetic users: clips of the avatar, seen by devices with noise.
 
-A stream begins as a real one should: the user stands still for calibration, arms hanging. Then
-clips follow each other, each from where the one before ended, with a second in between in which
-the devices glide over; each begins and ends in slow motion. Used by tests, benchmarks and the
-shipped recording.
+A stream begins with calibration: the user stands still, arms hanging. Then clips follow. Each
+starts where the previous one ended, after one second in which the device poses are interpolated.
+Each begins and ends in slow motion. Used by tests, benchmarks and the shipped recording.
 """
 
 from __future__ import annotations
@@ -23,29 +22,29 @@ from questsim.skeleton import LINKS
 
 STILL_S, GLIDE_S = 4.0, 1.2
 EASED_FRAMES = 18
-"""A clip's first and last half second take a second each: nobody is at full speed at once."""
+"""A clip's first and last half second take a second each: users do not start at full speed."""
 EXAMPLE_CLIPS = (
     "walk-0.8-start-stop", "wave-1", "walk-1.2-start-stop", "turn-left-0-1", "raise-both-hands-1",
     "squat-1", "stand-1", "turn-right-0-1", "boxing-1", "whiteboard-1",
     "walk-1.2-start-stop", "raise-right-hand-1",
 )  # fmt: skip
-"""What the user of the shipped recording does, after standing still."""
+"""Clips of the shipped recording, after standing still."""
 SWAY_M = 0.006
-"""Amplitude of the slow sway of somebody who stands still."""
+"""Amplitude of the slow sway while standing still."""
 
 
 @dataclass(frozen=True)
 class SyntheticUser:
-    """A person, how they wear their devices, and what these add.
+    """A synthetic user, the mounting of the devices, and their noise.
 
     Attributes:
         height_m: stature.
         devices: name of a sensor set without IMUs.
-        eyes_m: how much higher the eyes are than the avatar's of this stature.
-        arms_deg: how far the arms hang from the body, left and right.
-        arms_ahead_deg: how far they hang ahead.
-        mounts: by device, where it is reported in the axes of where the avatar carries it:
-            offset ``(3,)`` metres and rotation vector ``(3,)``.
+        eyes_m: height of the eyes above those of the avatar of this stature.
+        arms_deg: angle of the hanging arms from the body, left and right.
+        arms_ahead_deg: angle of the hanging arms to the front.
+        mounts: by device, its reported pose relative to its pose on the avatar: offset ``(3,)`` in
+            metres and rotation vector ``(3,)``.
         noise_m, noise_rad: standard deviation of white noise on every coordinate.
         seed: of noise, sway, jitter and losses.
     """
@@ -66,8 +65,8 @@ class Span:
     """A clip in a stream.
 
     Attributes:
-        clip: what of it is done at full speed: of the user's stature, moved to its place.
-        start_s: when the first frame of that is.
+        clip: the part at full speed, for the user's stature, moved to its place.
+        start_s: time of its first frame.
     """
 
     clip: Clip
@@ -75,7 +74,7 @@ class Span:
 
     @property
     def end_s(self) -> float:
-        """When its last frame is."""
+        """Time of its last frame."""
         return self.start_s + self.clip.duration
 
 
@@ -86,18 +85,18 @@ def stream(
     jitter_s: float = 0.0,
     loss: float = 0.0,
 ) -> tuple[list[DeviceFrame], list[Span]]:
-    """The frames of a user who stands still for ``STILL_S`` and then does clips.
+    """Frames of a user who stands still for ``STILL_S`` and then performs clips.
 
     Args:
-        user: who.
-        clips: what, one after the other; scaled to the user's stature.
+        user: the user.
+        clips: clips to perform in this order; they are scaled to the user's stature.
         rate_hz: frames a second.
-        jitter_s: half the range by which timestamps differ from regular ones; the poses are those
-            of the timestamps, which always go forward.
+        jitter_s: greatest deviation of a timestamp from regular ones; timestamps stay in order, and
+            poses are those at the timestamps.
         loss: share of frames that are missing.
 
     Returns:
-        The frames, in our convention, and when which clip is done.
+        The frames in our convention, and the clips with their times.
     """
     names = SENSOR_SETS[user.devices]
     position, quat = _calibration(user, names)
@@ -171,7 +170,7 @@ def _calibration(user: SyntheticUser, names: Sequence[str]) -> tuple[np.ndarray,
         phase = rng.uniform(0.0, 2.0 * np.pi, 2)
         sway += SWAY_M / 2.0 * np.sin(2.0 * np.pi * hertz * time[:, None] + phase)
     position = np.tile(at, (len(time), 1, 1))
-    # The whole body leans about the ankles: what is lower moves less.
+    # The whole body leans about the ankles: lower devices move less.
     position[..., :2] += sway[:, None] * (at[:, 2] / user.height_m)[:, None]
     return position, np.tile(turned, (len(time), 1, 1))
 
@@ -191,7 +190,7 @@ def _eased(position: np.ndarray, quat: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _middle(clip: Clip) -> Clip:
-    """The frames of a clip that are done at full speed."""
+    """The frames of a clip at full speed."""
     qpos = clip.qpos[EASED_FRAMES : len(clip) - EASED_FRAMES]
     about = {"kind": clip.kind, "style": clip.style, "source": clip.source}
     return replace(clip_from_qpos(clip.name, qpos, clip.height_m, **about), licence=clip.licence)
@@ -200,7 +199,7 @@ def _middle(clip: Clip) -> Clip:
 def _glide(
     a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray], frames: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Poses on the way from one to another, both left out."""
+    """Interpolated poses between two poses, without the two."""
     share = (np.arange(1, frames + 1) / (frames + 1))[:, None, None]
     share = share * share * (3.0 - 2.0 * share)
     sign = np.where((a[1] * b[1]).sum(-1, keepdims=True) < 0.0, -1.0, 1.0)
@@ -217,7 +216,7 @@ def _seen(
     jitter_s: float,
     loss: float,
 ) -> list[DeviceFrame]:
-    """What imperfect devices report of poses at 36 Hz."""
+    """Device reports, with noise, of poses at 36 Hz."""
     rng = np.random.default_rng([user.seed, 2])
     known = np.arange(len(position)) / FPS
     times = np.arange(0.0, known[-1], 1.0 / rate_hz)
