@@ -16,6 +16,7 @@ import csv
 import gzip
 import io
 import json
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ import numpy as np
 
 from questsim.devices import DeviceFrame, convention_named, from_ours
 from questsim.errors import InputError
-from questsim.files import whole_file
+from questsim.files import parse_json, whole_file
 from questsim.sensors import DEVICES
 
 FORMAT, VERSION = "questsim-recording", 1
@@ -37,6 +38,10 @@ EXAMPLE = "synthetic"
 """Name of the shipped recording, two minutes of a user who does not exist."""
 MAX_FRAMES = 1_000_000
 """Greatest number of frames in a file: three hours at 90 Hz."""
+MAX_LINE = 100_000
+"""Greatest number of characters in a line; a frame has a few hundred."""
+MAX_TEXT_BYTES = 512 << 20
+"""Greatest size of a file."""
 _CSV_PARTS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
@@ -152,13 +157,20 @@ def read_recording(path: Path, convention: str | None = None) -> Recording:
         path = example_path()
     if not path.is_file():
         raise InputError("there is no such file", path, f"{EXAMPLE} is the shipped one")
+    if path.stat().st_size > MAX_TEXT_BYTES:
+        raise InputError(f"is larger than {MAX_TEXT_BYTES >> 20} MiB", path, "split it")
     name = path.name.lower()
     if name.endswith(".csv"):
         if convention is None:
             raise InputError(
                 "a CSV file does not say its axes", path, "add --convention unity, ..."
             )
-        return _checked(path, _csv_frames(path, convention), None)
+        try:
+            frames = _csv_frames(path, convention)
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            reason = str(error)[:100]
+            raise InputError(f"cannot be read as CSV ({reason})", path) from None
+        return _checked(path, frames, None)
     if convention is not None:
         raise InputError("the file says its convention itself", path, "leave --convention out")
     if name.endswith(SUFFIX):
@@ -194,9 +206,14 @@ def _read_own(path: Path) -> Recording:
     frames, header, where = [], None, str(path)
     try:
         with gzip.open(path, "rt", encoding="utf-8") as file:
-            for number, text in enumerate(file, 1):
+            for number in range(1, MAX_FRAMES + 3):
                 where = f"{path}, line {number}"
-                line = json.loads(text)
+                text = file.readline(MAX_LINE + 1)
+                if not text:
+                    break
+                if len(text) > MAX_LINE:
+                    raise InputError("is too long a line for a frame", where)
+                line = _parsed(text, where)
                 if not isinstance(line, dict):
                     raise InputError("is no JSON object", where)
                 if header is None:
@@ -206,13 +223,18 @@ def _read_own(path: Path) -> Recording:
                     raise InputError("has no t", where)
                 time_s = line.pop("t")
                 frames.append(_frame(time_s, line, header["convention"], where))
-    except json.JSONDecodeError as error:
-        raise InputError(f"is no JSON: {error.msg}", where) from None
-    except (gzip.BadGzipFile, EOFError, UnicodeDecodeError):
+    except (OSError, EOFError, UnicodeDecodeError, zlib.error):
         raise InputError("is no gzip of text, or ends too early", path, "record it again") from None
     if header is None:
         raise InputError("is empty", path)
     return _checked(path, frames, header.get("calibration"))
+
+
+def _parsed(text: str, where: str) -> Any:
+    try:
+        return parse_json(text)
+    except ValueError as error:
+        raise InputError(f"is no JSON: {error}", where) from None
 
 
 def _checked_header(line: dict[str, Any], where: str) -> dict[str, Any]:
@@ -278,10 +300,10 @@ def _iwer_frames(path: Path) -> list[DeviceFrame]:
     target ray, and grip where it has one. Source: iwer 2.5.0, ``ActionRecorder.log``.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(path.read_text(encoding="utf-8"))
         schema = {int(index): dict(source) for index, source in content["schema"]}
         lines = list(content["frames"])
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, ValueError):
+    except (OSError, KeyError, TypeError, ValueError):
         raise InputError("is no recording of iwer", path, "give what ActionRecorder logs") from None
     frames = []
     for number, line in enumerate(lines, 1):

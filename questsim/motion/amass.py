@@ -58,6 +58,8 @@ DEFAULT_STATURE_M = 1.70
 FRAME_RATE_KEYS = (
     "mocap_framerate", "mocap_frame_rate", "framerate", "frame_rate", "mocap_fps", "fps"
 )  # fmt: skip
+SMPL_KEYS = ("J_regressor", "v_template", "shapedirs")
+"""What of a SMPL model is read."""
 MAX_ARRAY_BYTES = 256 << 20
 """An array larger than 256 MiB is refused: AMASS's longest files take a third of it."""
 PLAUSIBLE_STATURE_M = (1.40, 2.10)
@@ -191,8 +193,7 @@ def _smpl_offsets(smpl_file: str | Path, arrays: dict[str, np.ndarray]) -> np.nd
     """Joint offsets ``(22, 3)`` in metres of the SMPL model with the file's betas."""
     path = Path(smpl_file)
     with open_npz(path, MAX_ARRAY_BYTES, "a SMPL model") as model:
-        regressor, vertices = model["J_regressor"], model["v_template"]
-        directions = model["shapedirs"]
+        regressor, vertices, directions = (model[key] for key in SMPL_KEYS)
     shapes = (regressor.shape, vertices.shape, directions.shape)
     count = vertices.shape[0] if vertices.ndim == 2 else -1
     if (
@@ -204,6 +205,9 @@ def _smpl_offsets(smpl_file: str | Path, arrays: dict[str, np.ndarray]) -> np.nd
         or any(array.dtype.kind not in "iuf" for array in (regressor, vertices, directions))
     ):
         raise InputError(f"arrays of shapes {shapes} are no SMPL model", path)
+    for key, array in zip(SMPL_KEYS, (regressor, vertices, directions), strict=True):
+        if not (abs(np.asarray(array, float)) <= MAX_LENGTH).all():
+            raise InputError(f"{key} is not finite", path, AGAIN)
     betas = arrays.get("betas", np.zeros(0)).reshape(-1)[: directions.shape[-1]]
     shaped = vertices + directions[..., : len(betas)] @ betas
     joints = (regressor @ shaped)[:NUM_BODY_JOINTS]

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from questsim import rotations as rot
 from questsim.errors import InputError
-from questsim.motion.recording import AGAIN, Recording, decode, read_bytes
+from questsim.motion.recording import AGAIN, MAX_LENGTH, Recording, decode, read_bytes
 
 FPS = 120.0
 """AMC files do not say their rate; CMU's and HDM05's are of 120 Hz."""
@@ -266,6 +266,8 @@ def _numbers(words: list[str], count: int, where: str) -> np.ndarray:
         values = np.zeros(0)
     if len(values) != count or not np.isfinite(values).all():
         raise InputError(f"{' '.join(words)[:40]!r} is not {count} finite numbers", where, AGAIN)
+    if (abs(values) > MAX_LENGTH).any():
+        raise InputError(f"{' '.join(words)[:40]!r} is beyond {MAX_LENGTH:g}", where, AGAIN)
     return values
 
 
@@ -334,7 +336,7 @@ def _values(rows: list[list[str]], name: str, path: Path) -> np.ndarray:
     """A bone's values ``(T, n)``."""
     try:
         values = np.array(rows, float)
-        if np.isfinite(values).all():
+        if (abs(values) <= MAX_LENGTH).all():
             return values
     except ValueError:
         pass

@@ -8,7 +8,6 @@ duration, the root's position and the joints' rotations.
 from __future__ import annotations
 
 import hashlib
-import json
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from questsim import rotations as rot
 from questsim.errors import InputError
-from questsim.motion.recording import AGAIN, Recording, check_rate, decode, read_bytes
+from questsim.files import parse_json
+from questsim.motion.recording import AGAIN, MAX_LENGTH, Recording, check_rate, decode, read_bytes
 
 # Name, parent, place in the parent in metres, where the joint's turn begins in a row, and how
 # many numbers it has: 4 quaternion wxyz, 1 angle about z, 0 fixed. x forward, y up, z right. Head
@@ -107,9 +107,9 @@ def read_deepmimic(path: str | Path, fps: float | None = None) -> Recording:
 def _frames(text: str, path: Path) -> np.ndarray:
     """The rows ``(T, 44)`` of a file's text."""
     try:
-        document = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise InputError(f"is not JSON ({str(error)[:100]})", path, AGAIN) from None
+        document = parse_json(text)
+    except ValueError as error:
+        raise InputError(f"is not JSON ({error})", path, AGAIN) from None
     rows = document.get("Frames") if isinstance(document, dict) else None
     if not isinstance(rows, list) or not rows:
         raise InputError("has no list 'Frames'", path, "give a DeepMimic motion file")
@@ -126,7 +126,7 @@ def _frames(text: str, path: Path) -> np.ndarray:
         frames = np.array(rows, float)
     except OverflowError:
         frames = np.full((1, NUM_VALUES), np.inf)
-    bad = np.flatnonzero(~np.isfinite(frames).all(axis=1))
+    bad = np.flatnonzero(~(abs(frames) <= MAX_LENGTH).all(axis=1))
     if len(bad):
         raise InputError(f"frame {bad[0]} holds a number that is not finite", path, AGAIN)
     return frames

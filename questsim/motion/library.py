@@ -130,7 +130,8 @@ def _check_header(archive: Any, path: Path) -> None:
         if found.shape != expected.shape or not np.array_equal(found, expected):
             if expected.ndim:
                 raise InputError(f"library is for another list of {key}", path, AGAIN)
-            raise InputError(f"library has {key} {found}, not {expected}", path, AGAIN)
+            told = f"an array {found.shape}" if found.ndim else " ".join(str(found).split())
+            raise InputError(f"library has {key} {told}, not {expected}", path, AGAIN)
 
 
 def _array(archive: Any, path: Path, key: str, kinds: str, row: tuple[int, ...] = ()) -> np.ndarray:

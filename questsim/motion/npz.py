@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -99,7 +101,8 @@ def open_npz(path: Path, limit: int, what: str = ".npz") -> Iterator[Archive]:
         raise InputError(f"lacks {str(error.args[0])[:80]!r}", path, AGAIN) from None
     except (
         OSError, ValueError, EOFError, RuntimeError, SyntaxError, TypeError, MemoryError,
+        OverflowError, IndexError, NotImplementedError, struct.error, tokenize.TokenError,
         zipfile.BadZipFile, zlib.error,
     ) as error:  # fmt: skip
-        reason = str(error)[:120] or type(error).__name__
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise InputError(f"cannot be read as {what} ({reason})", path, AGAIN) from None

@@ -199,7 +199,10 @@ def _from_motion(recording: Recording, index: Mapping[str, int]) -> Rest | None:
     up = world_up(moving.places)
     trunk = moving.bone("root", "head") if "root" in index else moving.bone("left_hip", "head")
     upright = trunk @ up
-    stands = upright > min(0.9, float(np.percentile(upright, 60)))
+    # A pose that is held throughout stands as upright as it ever does.
+    stands = upright >= min(0.9, float(np.percentile(upright, 60)))
+    if not stands.any():  # NaN: bones around the trunk have no length
+        return None
     up_world = np.broadcast_to(up, trunk.shape)
     left_world = moving.places["left_hip"] - moving.places["right_hip"]
     shoulders = moving.places["left_shoulder"] - moving.places["right_shoulder"]
