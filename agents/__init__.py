@@ -1,7 +1,7 @@
 """Policies, their training and their evaluation.
 
-``load_agent`` gives an agent by name or path; ``Tracker`` is the teacher as a full-body tracker.
-Public names are imported when they are first used, so that a submodule is imported alone.
+``load_agent`` loads an agent by name or path; ``Tracker`` is the teacher as a full-body tracker.
+Public names are imported on first use, so that importing a submodule loads nothing else.
 """
 
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""What answers an observation with an action: the protocol, and two baselines."""
+"""The agent protocol, from observation to action, and two baselines."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Needs:
     Attributes:
         sensors: name of the sensor set, e.g. ``H+2C``.
         future_frames: number of future frames of the sensors in the observation.
-        privileged: whether it reads the reference itself.
+        privileged: whether it observes the reference itself.
         body_preset: name of the body's preset.
     """
 
@@ -29,21 +29,21 @@ class Needs:
 
 
 class Agent(Protocol):
-    """Anything that drives a batch of avatars."""
+    """Protocol of everything that drives a batch of avatars by torques."""
 
     name: str
     needs: Needs
 
     def bind(self, env: Any) -> None:
-        """Check that ``env`` gives what the agent reads, and find it there.
+        """Check that ``env`` provides the agent's inputs, and find their columns.
 
         Raises:
-            InputError: naming what does not fit.
+            InputError: names the part that does not fit.
         """
         ...
 
     def reset(self, n: int) -> None:
-        """Start ``n`` avatars anew."""
+        """Restart ``n`` avatars."""
         ...
 
     def act(self, obs: np.ndarray) -> np.ndarray:
@@ -52,7 +52,7 @@ class Agent(Protocol):
 
 
 class ZeroAgent:
-    """No torque at all: how long an avatar takes to fall."""
+    """Zero torques; shows how long an avatar takes to fall."""
 
     name, needs = "zero", Needs()
 
@@ -68,7 +68,7 @@ class ZeroAgent:
 
 
 class RandomAgent:
-    """Torques drawn evenly from [-1, 1], anew each step; the same ones after each reset."""
+    """Torques drawn uniformly from [-1, 1] each step; every reset repeats the sequence."""
 
     name, needs = "random", Needs()
 
@@ -80,7 +80,7 @@ class RandomAgent:
         """Anything fits."""
 
     def reset(self, n: int) -> None:
-        """Start the random numbers anew."""
+        """Restart the random numbers."""
         self._random = np.random.default_rng(self._seed)
 
     def act(self, obs: np.ndarray) -> np.ndarray:
@@ -96,7 +96,7 @@ _ELSEWHERE = {
 
 
 def __getattr__(name: str) -> Any:
-    """Public names that can be imported from here as well as from ``agents``, when first used."""
+    """Import on first use the public names that are available here and in ``agents``."""
     if name not in _ELSEWHERE:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_ELSEWHERE[name]), name)

@@ -1,4 +1,4 @@
-"""The licence of weights follows from those of the motions that they were trained on."""
+"""The licence of weights, derived from the licences of the training motions."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any
 UNKNOWN = "not stated"
 NON_COMMERCIAL = "CC-BY-NC-4.0"
 OURS = "MIT"
-"""Of the code, and of weights that no other licence binds."""
+"""Licence of the code, and of weights whose motions require no other licence."""
 
 
 def strictest(licences: Iterable[str]) -> str:
-    """One licence, an SPDX identifier or expression, for weights made from all of these.
+    """One SPDX identifier or expression for weights trained on motions with these licences.
 
-    A motion whose licence nobody stated leaves that of the weights open.
+    If the licence of a motion is unknown, so is the licence of the weights.
     """
     found = set(licences)
     if not found or UNKNOWN in found:
@@ -23,10 +23,10 @@ def strictest(licences: Iterable[str]) -> str:
 
 
 def licence_of(training: Mapping[str, Any]) -> str:
-    """The licence of a policy, by the ``training`` part of its ``policy.yaml``.
+    """The licence of a policy, from the ``training`` part of its ``policy.yaml``.
 
-    ``licence``, as shipping writes it, counts before the licences of the policy's own clips:
-    it also knows those of the teacher's.
+    The ``licence`` field written by shipping takes precedence over the licences of the policy's
+    own clips, since it also includes the teacher's clips.
     """
     if "licence" in training:
         return str(training["licence"])

@@ -1,4 +1,4 @@
-"""Agents that answer observations with torques, by name or folder."""
+"""Load agents that map observations to torques, by name or folder."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ def load_agent(path_or_name: str | Path) -> Agent:
     """An agent by name, checkpoint, stage or run folder, or ``package.module:Class``.
 
     Raises:
-        InputError: there is no such agent; it is a kinematic system, which answers with poses; or
-            its checkpoint is of another format version, joint order, link order or observation
-            layout.
+        InputError: there is no such agent; it is a kinematic system, which outputs poses; or its
+            checkpoint has another format version, joint order, link order or observation layout.
     """
     found = resolve(path_or_name)
     if found.kind == "baseline":

@@ -1,4 +1,4 @@
-"""Single values of a preset, changed from the command line."""
+"""Change single values of a preset from the command line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from questsim.files import parse_yaml
 
 WHERE = "--set"
 MAY_BE_ZERO = ("mix_steps",)
-"""Counts that switch something off where they are 0; others that are 0 by default may be, too."""
+"""Counts for which 0 means off; counts whose default is 0 may also be 0."""
 LARGEST = 1_000_000_000
 
 Preset = TypeVar("Preset")
@@ -24,8 +24,8 @@ def with_overrides(preset: Preset, assignments: Sequence[str]) -> Preset:
     """The preset with values changed.
 
     Args:
-        preset: what to start from.
-        assignments: ``path=value``, the path from the preset inwards, the value as in YAML, e.g.
+        preset: the preset to change.
+        assignments: ``path=value``: dotted field names from the preset down, and a YAML value, e.g.
             ``"stages.teacher.learning.desired_kl=0.06"`` or ``"num_envs=64"``.
 
     Raises:
@@ -45,7 +45,7 @@ def _value(text: str, path: str) -> Any:
     except ValueError as error:
         raise InputError(f"{text!r} is not a YAML value", f"{WHERE} {path}") from error
     if isinstance(value, str):
-        # YAML 1.1 reads 6e-5 as text, for want of a point.
+        # YAML 1.1 reads 6e-5 as text, since it has no decimal point.
         with suppress(ValueError):
             return float(value)
     return value
@@ -66,7 +66,7 @@ def _changed(holder: Any, names: list[str], value: Any, path: str) -> Any:
 
 
 def _may_be_none(holder: Any, name: str) -> bool:
-    """Whether a field of a dataclass can be left open."""
+    """Whether a field of a dataclass may be None."""
     return is_dataclass(holder) and NoneType in get_args(get_type_hints(type(holder)).get(name))
 
 
@@ -79,7 +79,7 @@ def _children(holder: Any) -> dict[str, Any]:
 
 
 def _converted(old: Any, value: Any, path: str) -> Any:
-    """``value`` as the type of the value it replaces; what was None takes any number."""
+    """``value`` converted to the type of the old value; None may be replaced by any number."""
     if is_dataclass(old) or isinstance(old, dict):
         raise InputError("names a group, not a value", f"{WHERE} {path}", "go on with a dot")
     if value is None:
@@ -104,11 +104,11 @@ def _converted(old: Any, value: Any, path: str) -> Any:
 
 
 def _check_number(value: Any, old: Any, path: str) -> None:
-    """Refuse numbers that no preset can work with.
+    """Refuse numbers that are invalid in every preset.
 
     Raises:
-        InputError: not finite, or a count that is negative, zero where there must be one, or
-            beyond all memory.
+        InputError: a number is not finite, or a count is negative, zero where at least one is
+            needed, or larger than ``LARGEST``.
     """
     where, now = f"{WHERE} {path}", f"it is now {old!r}"
     if isinstance(value, float) and not math.isfinite(value):

@@ -1,9 +1,9 @@
-"""What an agent's name means: the only place that knows names and how they are written.
+"""Resolve agent names and paths. No other module interprets agent names.
 
-A name is that of a shipped policy or kinematic system, of a kinematic system that needs no weights,
-of a baseline, or ``package.module:Class`` of the user's own; a path is a checkpoint, stage or run
-folder. A kinematic system followed by ``PHYSICS`` has physics behind it. Weights are loaded by
-``agents.loading`` and ``agents.kinematic.store``.
+A name is one of: a shipped policy or kinematic system, a kinematic system without weights, a
+baseline, or the user's own ``package.module:Class``. A path is a checkpoint, stage or run folder. A
+kinematic system's name followed by ``PHYSICS`` adds the tracker on simulated physics. Weights are
+loaded by ``agents.loading`` and ``agents.kinematic.store``.
 """
 
 from __future__ import annotations
@@ -21,44 +21,44 @@ from questsim.files import read_yaml
 
 SHIPPED = Path(__file__).parent / "weights"
 POLICY_CARD, SYSTEM_CARD = "policy.yaml", "system.yaml"
-"""Says of a folder that it holds a torque policy, or a kinematic system."""
+"""Files that mark a folder as a torque policy or a kinematic system."""
 
 PHYSICS = "+physics"
-"""After a kinematic system's name: that system with physics behind it."""
+"""Suffix of a kinematic system's name: a tracker follows its poses on simulated physics."""
 ZERO, RANDOM = BASELINES = ("zero", "random")
-"""Agents to compare with."""
+"""Baseline agents."""
 IK = "ik"
 UNTRAINED = (IK,)
-"""Kinematic systems that are complete without weights."""
+"""Kinematic systems without weights."""
 DEFAULT_POLICY, DEFAULT_SYSTEM = "questsim", "hmdposer"
-"""What commands use where none is named."""
+"""Default agent of the commands."""
 ESTIMATE_TRACKER = "estimate-tracker"
-"""The policy that follows a kinematic system's poses."""
+"""The policy that follows the poses of a kinematic system."""
 SYNTHETIC_POLICY = "demo"
-"""The shipped policy that has learnt the embedded motions alone."""
+"""The shipped policy that was trained only on the embedded motions."""
 
-# Of the fine-tuning only what helped is a result, so its last state is none.
+# Only an improved policy is a result of fine-tuning, so its last checkpoint does not count.
 _POLICY_FOLDERS = (
     "", "best", "last", "finetune/best", "student/best", "student/last",
     "ppo/best", "ppo/last", "teacher/best", "teacher/last",
 )  # fmt: skip
-"""Where a checkpoint, a stage and a run keep their policy, best first."""
+"""Policy folders inside a checkpoint, stage or run folder, best first."""
 
 Kind = Literal["policy", "baseline", "own", "system", "physics"]
 
 
 @dataclass(frozen=True)
 class Resolved:
-    """What a name means.
+    """A resolved agent name.
 
     Attributes:
-        name: as it was given.
-        kind: ``"policy"``, ``"baseline"`` or ``"own"`` for what answers an observation with
-            torques; ``"system"`` for a kinematic system, the user's own included; ``"physics"``
-            for a kinematic system with physics behind it.
+        name: the name as given.
+        kind: ``"policy"``, ``"baseline"`` or ``"own"`` for agents that output torques;
+            ``"system"`` for a kinematic system, including the user's own; ``"physics"`` for a
+            kinematic system with ``PHYSICS``.
         base: the name without ``PHYSICS``.
-        folder: of the checkpoint; None without one.
-        card: its description, unchecked; empty without one.
+        folder: the checkpoint's folder; None without a checkpoint.
+        card: the checkpoint's description, unchecked; empty without a checkpoint.
     """
 
     name: str
@@ -69,21 +69,21 @@ class Resolved:
 
     @property
     def torques(self) -> bool:
-        """Whether it answers an observation with torques, as ``agents.agent.Agent`` does."""
+        """Whether it maps observations to torques, as ``agents.agent.Agent`` does."""
         return self.kind in ("policy", "baseline", "own")
 
     @property
     def training(self) -> dict[str, Any]:
-        """What its card says of its training."""
+        """The training record in its card."""
         training = self.card.get("training")
         return training if isinstance(training, dict) else {}
 
 
 def resolve(path_or_name: str | Path) -> Resolved:
-    """What a path or name means.
+    """Resolve a path or name.
 
     Raises:
-        InputError: it means nothing; the line lists what there is.
+        InputError: no such agent; the message lists the known ones.
     """
     name = str(path_or_name)
     if not name:
@@ -110,15 +110,15 @@ def resolve(path_or_name: str | Path) -> Resolved:
 
 
 def _is_own(name: str) -> bool:
-    """Whether a name is written as a class of the user's own is."""
+    """Whether a name has the form of a user's class, ``package.module:Class``."""
     return re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", name) is not None
 
 
 def resolve_policy(path_or_name: str | Path) -> Resolved:
-    """As ``resolve``, of a torque policy with a checkpoint.
+    """Like ``resolve``, but only torque policies with a checkpoint.
 
     Raises:
-        InputError: it means nothing, or something else.
+        InputError: no such agent, or it is of another kind.
     """
     found = resolve(path_or_name)
     if found.kind != "policy":
@@ -128,10 +128,10 @@ def resolve_policy(path_or_name: str | Path) -> Resolved:
 
 
 def resolve_system(path_or_name: str | Path) -> Resolved:
-    """As ``resolve``, of a kinematic system without physics.
+    """Like ``resolve``, but only kinematic systems without physics.
 
     Raises:
-        InputError: it means nothing, or something else.
+        InputError: no such agent, or it is of another kind.
     """
     name, found = str(path_or_name), None
     with suppress(InputError) if not _is_own(name) else nullcontext():
@@ -143,20 +143,20 @@ def resolve_system(path_or_name: str | Path) -> Resolved:
 
 
 def base_of(name: str) -> str | None:
-    """The kinematic system of a name that ends with ``PHYSICS``; None for other names."""
+    """The kinematic system in a name that ends with ``PHYSICS``; None for other names."""
     return name.removesuffix(PHYSICS) if name.endswith(PHYSICS) else None
 
 
 def from_anywhere(path: Path | None) -> Path | None:
-    """A path so that a run's record means it in any folder; names stay names.
+    """Make a path absolute, so that a run's record is valid in any folder; keep names unchanged.
 
-    A folder that merely has a shipped policy's name, as the package ``questsim`` has, is no path.
+    A folder that has a shipped policy's name, such as the package ``questsim``, is not a path.
     """
     if path is None or not path.exists():
         return path
     try:
         found = resolve(path)
-    except InputError:  # refused later, by what needs it
+    except InputError:  # the caller that needs it refuses it later
         return path.absolute()
     inside = found.folder is not None and found.folder.is_relative_to(path)
     return path.absolute() if inside else path
@@ -171,13 +171,13 @@ def policy_folder(place: Path) -> Path | None:
 def system_folder(place: Path) -> Path | None:
     """The folder of the kinematic system in a checkpoint, stage or run folder, if there is one.
 
-    Of a run that of the last stage that has one: the one that was trained in the most stages.
+    For a run, it is the last stage's: the system that went through the most stages.
     """
     for folder in (place, place / "best", place / "last"):
         if (folder / SYSTEM_CARD).exists():
             return folder
     cards = [*place.glob(f"*/best/{SYSTEM_CARD}"), *place.glob(f"*/last/{SYSTEM_CARD}")]
-    # Of equals ``max`` takes the first: the best before the last.
+    # Of equal items ``max`` returns the first: ``best`` before ``last``.
     return max((card.parent for card in cards), key=_stages, default=None)
 
 
@@ -187,7 +187,7 @@ def _stages(folder: Path) -> int:
 
 
 def _card(path: Path) -> dict[str, Any]:
-    """A description as it is; empty where it cannot be read, which what loads it refuses."""
+    """An unchecked card; empty if it cannot be read (loading it then raises an error)."""
     try:
         return read_yaml(path, "description")
     except (OSError, InputError):
@@ -200,12 +200,12 @@ def shipped_policies() -> tuple[str, ...]:
 
 
 def shipped_systems() -> tuple[str, ...]:
-    """Names of the kinematic systems that are shipped or need no weights."""
+    """Names of the kinematic systems that are shipped or have no weights."""
     return (*_shipped_with(SYSTEM_CARD), *UNTRAINED)
 
 
 def with_physics(systems: tuple[str, ...] | list[str] | None = None) -> tuple[str, ...]:
-    """Names of kinematic systems, by default all that there are, with physics behind them."""
+    """Names of kinematic systems (by default all) with ``PHYSICS`` appended."""
     return tuple(f"{name}{PHYSICS}" for name in systems or shipped_systems())
 
 
@@ -219,10 +219,10 @@ def _known() -> str:
 
 
 def own_class(name: str) -> type:
-    """The user's class of a name ``package.module:Class``, looked for in the current folder too.
+    """The user's class ``package.module:Class``; the current folder is searched as well.
 
     Raises:
-        InputError: there is no such module or class, or the class is neither an ``Agent`` nor a
+        InputError: no such module or class, or the class is neither an ``Agent`` nor a
             ``KinematicSystem``.
     """
     module_name, _, class_name = name.partition(":")
@@ -248,7 +248,7 @@ def own_class(name: str) -> type:
 
 
 def _is_agent(value: Any, module: str | None = None) -> bool:
-    """Whether it is a class with the methods of an agent or a kinematic system, of a module."""
+    """Whether it is a class of the module with the methods of an agent or kinematic system."""
     if not isinstance(value, type) or module not in (None, value.__module__):
         return False
     methods = ("bind", "reset", "act"), ("usable", "reset", "step", "predict")
@@ -256,10 +256,10 @@ def _is_agent(value: Any, module: str | None = None) -> bool:
 
 
 def own_object(name: str) -> Any:
-    """An object of the user's class of a name; see ``own_class``.
+    """An instance of the user's class; see ``own_class``.
 
     Raises:
-        InputError: there is none, or it cannot be made without arguments.
+        InputError: no such class, or its constructor needs arguments.
     """
     found = own_class(name)
     try:

@@ -1,4 +1,4 @@
-"""The folder of a training run and its record: config, seed, versions, data."""
+"""The folder of a training run with its record: config, seed, versions, data."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from questsim.motion.clip import Clip
 FORMAT, FORMAT_VERSION = "questsim-run", 1
 RECORD = "run.yaml"
 OWNER = ".training.owner"
-"""Says who trains in a run folder while it does."""
+"""File that names the process that is training in a run folder."""
 PACKAGES = ("mujoco", "numpy", "scipy", "torch", "stable-baselines3", "gymnasium")
 
 
 def data_record(spec: str, clips: Sequence[Clip]) -> dict[str, Any]:
-    """What a training learnt from: amount, licences and one hash over all clips."""
+    """Record of the training data: amount, licences and one hash over all clips."""
     digest = hashlib.sha256()
     for clip in sorted(clips, key=lambda clip: clip.name):
         digest.update(f"{clip.name} {clip.source_sha256} {clip.height_m:.3f}".encode())
@@ -45,21 +45,21 @@ def data_record(spec: str, clips: Sequence[Clip]) -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Of Python, this package and what it computes with."""
+    """Versions of Python, this package and its numerical libraries."""
     found = {"python": platform.python_version()}
     for package in ("questsim", *PACKAGES):
         try:
             found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
             found[package] = "not installed"
-    # The same seed gives the same bits where these are the same.
+    # With the same versions, the same seed gives the same bits.
     found["processor"] = torch.backends.cpu.get_cpu_capability()
     found["bfloat16"] = "native" if native_bfloat16() else "not native"
     return found
 
 
 def plain(value: Any) -> Any:
-    """The same value as YAML knows it: dataclasses become mappings, tuples lists."""
+    """Convert a value for YAML: dataclasses become mappings, tuples lists."""
     if is_dataclass(value) and not isinstance(value, type):
         return plain(asdict(value))
     if isinstance(value, dict):
@@ -80,13 +80,13 @@ def start_run(
 
     Args:
         out: the folder.
-        args, preset: what it is started with.
+        args, preset: options and preset of the run.
         data: see ``data_record``.
-        behind: of each option that names a shipped policy how that was trained: another version
-            may have the name when a card is written.
+        behind: for each option that names a shipped policy, that policy's training record, since
+            a later version may have the same name when a card is written.
 
     Raises:
-        InputError: if a run is there already, or the folder cannot be written.
+        InputError: the folder already holds a run or cannot be written.
     """
     refuse_existing(out)
     record = {
@@ -103,7 +103,7 @@ def start_run(
 
 
 def note_resume(out: Path, args: Any, preset: Any, behind: Mapping[str, Any] | None = None) -> None:
-    """Add to a run's record with which options and preset it goes on; see ``start_run``."""
+    """Add options and preset of a resumed run to its record; see ``start_run``."""
     record = read_run(out)
     again = {
         "args": plain(args),
@@ -126,10 +126,10 @@ def _write(out: Path, record: dict[str, Any]) -> None:
 
 
 def refuse_existing(out: Path) -> None:
-    """Refuse to start a run where one is.
+    """Refuse a folder that already holds a run.
 
     Raises:
-        InputError: if ``out`` holds a run, or is a file.
+        InputError: ``out`` holds a run or is a file.
     """
     if (out / RECORD).exists():
         raise InputError("holds a run already", out, "add --resume or choose another --out")
@@ -141,7 +141,7 @@ def read_run(out: Path) -> dict[str, Any]:
     """The record of an existing run.
 
     Raises:
-        InputError: if there is none, or it is of another format version.
+        InputError: no run there, or its record has another format version.
     """
     path = out / RECORD
     try:
@@ -167,7 +167,7 @@ def read_run(out: Path) -> dict[str, Any]:
 
 @contextmanager
 def only_training(out: Path) -> Iterator[None]:
-    """Keep a run folder to one training, and put right what a killed one left half replaced.
+    """Lock a run folder for one training, and repair files that a killed training half replaced.
 
     Raises:
         InputError: another training writes there, or the folder cannot be written.
@@ -196,7 +196,7 @@ def only_training(out: Path) -> Iterator[None]:
         lock.release()
         (out / ".training.lock").unlink(missing_ok=True)
         if made:
-            with suppress(OSError):  # something was written, so it stays
+            with suppress(OSError):  # keep the folder: something was written
                 out.rmdir()
 
 
@@ -209,14 +209,14 @@ def _owner(out: Path) -> str:
 def check_same_run(
     record: dict[str, Any], args: Any, data: dict[str, Any], may_differ: set[str], out: Path
 ) -> None:
-    """Refuse to resume a run with other options or other data.
+    """Refuse to resume a run with different options or data.
 
     Raises:
-        InputError: naming the option that differs.
+        InputError: names the option that differs.
     """
     defaults = plain({option.name: default_of(option) for option in fields(args)})
     for name, value in plain(args).items():
-        # Records from before there was an option lack it.
+        # Records older than an option lack it.
         before = record["args"].get(name, defaults[name])
         if name not in may_differ and value != before:
             option = "--" + name.replace("_", "-")
@@ -226,7 +226,7 @@ def check_same_run(
 
 
 def default_of(option: Field[Any]) -> Any:
-    """What an option is when nobody says anything; None if it must be said."""
+    """The default of an option; None if it is required."""
     if option.default_factory is not MISSING:
         return option.default_factory()
     return None if option.default is MISSING else option.default

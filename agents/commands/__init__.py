@@ -1,1 +1,1 @@
-"""The command lines ``train.py`` and ``evaluate.py``, which put the jobs of ``agents`` together."""
+"""The command lines ``train.py`` and ``evaluate.py``, which combine the jobs of ``agents``."""

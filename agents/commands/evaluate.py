@@ -1,4 +1,4 @@
-"""``evaluate.py``: an agent on clips, in other worlds, against the bars; or agents compared."""
+"""``evaluate.py``: evaluate an agent on clips, run the worlds table or scorecard, or compare."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from agents.comparison.scenarios import Scenario
 
 _OF_PHYSICS = ("env", "height", "avatar_height", "terrain", "objects", "begin", "noise")
-"""Options of an environment, which a kinematic system does not have."""
+"""Environment options, which do not apply to a kinematic system."""
 _STARTS = {"reference": None, "still": Starts(still=1.0), "standing": Starts(standing=1.0)}
 
 
@@ -41,7 +41,7 @@ def evaluate(args: EvaluateArgs) -> int:
     """Run an evaluation, print its table and write its report; returns the exit code.
 
     Raises:
-        InputError: for an agent, motions or a folder that cannot be used.
+        InputError: an agent, motions or a folder cannot be used.
     """
     from questsim.motion.spec import load_motions
 
@@ -76,7 +76,7 @@ def evaluate(args: EvaluateArgs) -> int:
 
 
 def _assisted(assist: AssistUse | None) -> dict[str, Any]:
-    """What the assist did, printed and for the report; nothing where there was none."""
+    """Print the use of the assist and return it for the report; empty without assist."""
     if assist is None:
         return {}
     print(assist.line())
@@ -84,7 +84,7 @@ def _assisted(assist: AssistUse | None) -> dict[str, Any]:
 
 
 def _refuse_unused(args: EvaluateArgs, options: Sequence[str]) -> None:
-    """Refuse what this agent has no use for, and a height that another one overrides."""
+    """Refuse options that this agent does not use, and --height with --avatar-height."""
     plain = {field.name: field.default for field in fields(EvaluateArgs)}
     for option in options:
         if getattr(args, option) != plain[option]:
@@ -94,7 +94,7 @@ def _refuse_unused(args: EvaluateArgs, options: Sequence[str]) -> None:
 
 
 def _config_of(args: EvaluateArgs, config: EnvConfig) -> EnvConfig:
-    """The environment with the ground, objects, start and devices that are asked for."""
+    """The environment with the requested terrain, objects, initial state and devices."""
     if args.terrain is not None:
         config = replace(config, terrain=terrain_named(args.terrain, "--terrain"))
     if args.objects:
@@ -105,8 +105,8 @@ def _config_of(args: EvaluateArgs, config: EnvConfig) -> EnvConfig:
 
 
 def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
-    """A kinematic system, with or without physics behind it, on what its devices report."""
-    # Not at the top: all systems are imported with these, and a policy is not to wait for them.
+    """Evaluate a kinematic system, with or without physics, on its device signals."""
+    # Imported here: this loads all systems, which an evaluation of a policy does not need.
     from agents.comparison.compare import at_sensor_rate
     from agents.comparison.run import reconstructed, reference, workers
     from agents.kinematic.physics_behind import follow_poses
@@ -144,7 +144,7 @@ def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
 
 
 def _scenario(args: EvaluateArgs) -> Scenario:
-    """The first plain scenario of a kinematic system, with the devices that are asked for."""
+    """The first plain scenario of a kinematic system with the requested devices."""
     from agents.comparison.run import devices_named, suiting
 
     suited = suiting(args.agent, devices_named(args.sensors))
@@ -157,7 +157,7 @@ def evaluate_worlds(args: WorldsArgs) -> int:
     """Run the worlds table, print it and write worlds.json; returns the exit code.
 
     Raises:
-        InputError: for an agent, motions or a folder that cannot be used.
+        InputError: an agent, motions or a folder cannot be used.
     """
     from questsim.motion.spec import load_motions
 
@@ -176,7 +176,7 @@ def evaluate_worlds(args: WorldsArgs) -> int:
 
 
 def evaluate_scorecard(args: ScorecardArgs) -> int:
-    """Hold a policy and its variants against the bars and print the table; returns the exit code.
+    """Compare a policy and its variants with the bars, print the table; returns the exit code.
 
     Raises:
         InputError: one of the policies, the motions or a folder cannot be used.
@@ -195,7 +195,7 @@ def evaluate_comparison(args: CompareArgs) -> int:
     """See ``agents.comparison.compare``; returns the exit code.
 
     Raises:
-        InputError: nothing to compare, or what cannot be used.
+        InputError: there is nothing to compare, or an argument cannot be used.
     """
     from agents.comparison.compare import compare
 
@@ -211,7 +211,7 @@ _ONE_AGENT = Mode("--agent NAME", EvaluateArgs, evaluate)
 
 
 def _choose(words: Sequence[str]) -> tuple[Mode, list[str]]:
-    """The job whose flag is given; without any, the evaluation of one agent."""
+    """The job whose flag is given; without a flag, the evaluation of one agent."""
     flags = list(dict.fromkeys(word for word in words if word in _BY_FLAG))
     if len(flags) > 1:
         raise InputError(f"does not go with {flags[1]}", flags[0], "give one of them")

@@ -1,4 +1,4 @@
-"""``train.py``: torque policies, and with ``--agent`` kinematic systems."""
+"""``train.py``: train torque policies and, with ``--agent``, kinematic systems."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from questsim.errors import InputError
 from questsim.modes import Mode, Modes
 
 POLICY = "policy"
-"""Of ``--agent``: a torque policy, as without the option."""
+"""Value of ``--agent`` for a torque policy, the default."""
 
 
 def train_kinematic(args: TrainSystemArgs) -> int:
     """See ``agents.kinematic.training``; returns the exit code.
 
     Raises:
-        InputError: for options, motions or a run folder that cannot be used.
+        InputError: options, motions or a run folder cannot be used.
     """
-    # Not at the top: all systems are imported with it, and a policy is not to wait for them.
+    # Imported here: this loads all systems, which the training of a policy does not need.
     from agents.kinematic.training import train_system
 
     return train_system(args)
@@ -31,7 +31,7 @@ _SYSTEM = Mode("--agent SYSTEM", TrainSystemArgs, train_kinematic)
 
 
 def _choose(words: Sequence[str]) -> tuple[Mode, list[str]]:
-    """Policies, or kinematic systems where ``--agent`` names one."""
+    """Options for policies, or for kinematic systems if ``--agent`` names one."""
     rest, agent = [], POLICY
     waiting = iter(words)
     for word in waiting:

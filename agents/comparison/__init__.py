@@ -1,1 +1,1 @@
-"""All systems on the same frames: tables, figures, films, ablations."""
+"""Compare all systems on the same frames: tables, figures, films, ablations."""

@@ -1,4 +1,4 @@
-"""The table of an ablation: the full system first, then each variant and what it changes."""
+"""The table of an ablation: the full system, then each variant with its changes."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Result:
     """The full system, or a variant.
 
     Attributes:
-        name, what: of the variant.
-        set, options: how it differs: values of the preset, options at run time.
-        training: by stage, ``steps`` and ``minutes``; of the full system for what only runs
-            otherwise.
-        rows: one a scenario.
+        name, what: name and description of the variant.
+        set, options: its changes: values of the preset, options at run time.
+        training: by stage, ``steps`` and ``minutes``; the full system's for a variant that differs
+            only at run time.
+        rows: one per scenario.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Result:
 
 
 def differences(row: Row, full: Row, weighting: str) -> Figures:
-    """Each figure of a row less the full system's, where both have it."""
+    """Each figure of a row minus the full system's, if both have it."""
     got, whole = row.figures(weighting), full.figures(weighting)
     told: Figures = {}
     for name, value in got.items():
@@ -53,14 +53,14 @@ def differences(row: Row, full: Row, weighting: str) -> Figures:
 
 
 def _by_scenario(results: Sequence[Result]) -> Iterator[tuple[str, list[tuple[Result, Row]]]]:
-    """Scenario by scenario, the full system first and then all that were run in it."""
+    """For each scenario, the full system and then every variant that was run in it."""
     for full in results[0].rows:
         pairs = [(result, row) for result in results for row in result.rows]
         yield full.scenario, [pair for pair in pairs if pair[1].scenario == full.scenario]
 
 
 def table(results: Sequence[Result], agent: str, weighting: str) -> str:
-    """A Markdown table of each scenario; in brackets, the difference from the full system."""
+    """One Markdown table per scenario; differences from the full system are in brackets."""
     names = AGENTS[agent].figures
     lines = []
     for scenario, pairs in _by_scenario(results):
@@ -91,8 +91,8 @@ def write(results: Sequence[Result], context: dict[str, Any], out: Path) -> None
 
     Args:
         results: the full system first.
-        context: ``agent``, ``preset``, ``motions``, ``minutes``, ``steps``, ``data`` and what else
-            is to be recorded.
+        context: ``agent``, ``preset``, ``motions``, ``minutes``, ``steps``, ``data`` and further
+            entries to record.
         out: an existing folder.
 
     Raises:

@@ -1,10 +1,10 @@
-"""What each part of a kinematic system is worth: the full system against variants without it.
+"""Ablations: compare a kinematic system with variants that lack one part each.
 
 ``questsim ablations --agent lgsik --motions bandai-namco-2:train --test bandai-namco-2:test
---minutes 3 --out DIR`` trains the full system and every variant that its entry in the registry
-names, with the same seed and the same small budget, one after the other, and scores all on the same
-motions as ``agents.comparison.compare`` does. Variants that only run otherwise are the full
-system's weights.
+--minutes 3 --out DIR`` trains the full system and every variant in its registry entry, one after
+the other, with the same seed and the same small budget. It scores all of them on the same motions,
+as ``agents.comparison.compare`` does. Variants that differ only at run time use the full system's
+weights.
 """
 
 from __future__ import annotations
@@ -37,47 +37,47 @@ from questsim.motion.motion import Motion
 
 FULL = "full"
 SCORES = "scores.json"
-"""In a variant's folder: its rows. A variant that has it is done."""
+"""File with a variant's rows in its folder. A variant with this file is done."""
 MAY_DIFFER_ON_RESUME = {"resume", "out", "threads", "variants"}
 
 
 @dataclass(frozen=True)
 class AblationsArgs:
-    """Train a kinematic system and its variants without one part each, and compare them."""
+    """Train a kinematic system and variants that lack one part each, and compare them."""
 
     agent: str = ""
     """A kinematic system with variants, e.g. lgsik; see questsim agents."""
     motions: str = "synthetic"
-    """What to learn: synthetic, a dataset (bandai-namco-2:train), a library, file or folder."""
+    """Motions to learn: synthetic, a dataset (bandai-namco-2:train), a library, file or folder."""
     test: str = "synthetic"
-    """What to reconstruct; not what is learnt."""
+    """Motions to reconstruct; must differ from the training motions."""
     out: Path | None = None
-    """Folder of the table and, in one folder each, of the runs."""
+    """Folder of the table, with one subfolder per run."""
     minutes: float | None = None
     """Time for each training."""
     steps: int | None = None
-    """Gradient steps of each stage of each training, instead of or beside --minutes."""
+    """Gradient steps of each stage of each training, instead of or in addition to --minutes."""
     preset: Literal["cpu", "paper", "smoke"] = "cpu"
-    """Sizes and learning, as of train.py."""
+    """Network sizes and training settings, as in train.py."""
     variants: tuple[str, ...] = ()
-    """Some of the variants alone; by default all."""
+    """Run only these variants; by default all."""
     max_clips: int | None = None
-    """At most so many motions to reconstruct, of all kinds."""
+    """Reconstruct at most this many motions, of all kinds."""
     resume: bool = False
-    """Go on in --out; what is done is not done again."""
+    """Resume in --out; finished variants are skipped."""
     threads: int = 2
-    """Threads of the networks."""
+    """Threads for the networks."""
     seed: int = 0
-    """Of everything that is random, the same for all."""
+    """Seed of all random numbers, the same for all variants."""
     set: tuple[str, ...] = ()
-    """Values of the preset to change for all, e.g. stages.network.batch=16."""
+    """Change values of the preset for all variants, e.g. stages.network.batch=16."""
 
 
 def ablations(args: AblationsArgs) -> int:
     """Train, score and write the table; returns the exit code.
 
     Raises:
-        InputError: for options, motions or a folder that cannot be used.
+        InputError: options, motions or a folder cannot be used.
     """
     from questsim.motion.spec import load_recordings
 
@@ -123,7 +123,7 @@ def ablations(args: AblationsArgs) -> int:
 
 
 def _checked(args: AblationsArgs) -> tuple[Path, list[Variant]]:
-    """The folder, and the full system with the variants that are asked for."""
+    """The folder, and the full system with the requested variants."""
     with_variants = [name for name, entry in AGENTS.items() if entry.variants]
     if args.agent not in with_variants:
         raise InputError(
@@ -180,7 +180,7 @@ def _train(args: AblationsArgs, variant: Variant, folder: Path) -> int:
 
 
 def _leave_nothing(out: Path, there: bool) -> None:
-    """Remove a record that nothing was trained for yet, so that the command can be mended."""
+    """Remove the record if nothing was trained yet, so that a corrected command can start."""
     if [path.name for path in out.iterdir()] == [RECORD]:
         (out / RECORD).unlink()
         if not there:
@@ -202,7 +202,7 @@ def _score(args: AblationsArgs, variant: Variant, out: Path, motions: Sequence[M
 
 
 def _result(variant: Variant, out: Path) -> Result:
-    """What was written by ``_score`` and by the training.
+    """Read the results written by ``_score`` and by the training.
 
     Raises:
         InputError: the scores are damaged.

@@ -1,7 +1,7 @@
-"""The comparison of kinematic systems: the same frames for all, one table.
+"""Compare kinematic systems and policies on the same frames in one table.
 
-``python evaluate.py --compare --motions bandai-namco-2:test --out DIR``. An agent is run in every
-scenario that suits it; docs/comparison.md says what they and the columns are.
+``python evaluate.py --compare --motions bandai-namco-2:test --out DIR``. Each agent is run in every
+scenario that it supports; docs/comparison.md describes scenarios and columns.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ from questsim.motion.motion import Motion
 
 FIGURES = {"accuracy.png": plot_accuracy, "plausibility.png": plot_plausibility}
 FILES: tuple[str, ...] = ("comparison.json", "comparison.csv", "comparison.md", *FIGURES)
-"""What a comparison writes; ``comparison_film.FILES`` too where it is filmed."""
+"""Files that a comparison writes; with a film, also ``film.FILES``."""
 
 
 def compare(args: CompareArgs) -> int:
     """Run the comparison and write its tables and figures; returns the exit code.
 
     Raises:
-        InputError: nothing to compare, or what cannot be used.
+        InputError: there is nothing to compare, or an argument cannot be used.
     """
     from questsim.evaluation_report import check_writable
     from questsim.motion.spec import load_recordings
@@ -96,10 +96,10 @@ def compare(args: CompareArgs) -> int:
 
 
 def plan(agents: Sequence[str], sensors: str | None) -> dict[str, list[Scenario]]:
-    """Agents and the scenarios that each is run in.
+    """Agents and the scenarios in which each is run.
 
     Raises:
-        InputError: an agent or set of sensors that is none, or one that cannot use the other.
+        InputError: an unknown agent or sensor set, or an agent that cannot use the sensors.
     """
     devices = devices_named(sensors)
     planned = {agent: suiting(agent, devices) for agent in agents or everyone()}
@@ -114,10 +114,10 @@ def plan(agents: Sequence[str], sensors: str | None) -> dict[str, list[Scenario]
 
 
 def everyone() -> list[str]:
-    """All that can be compared without training: systems, these with physics, and policies.
+    """All agents available without training: systems, systems with physics, and policies.
 
-    Without policies that observe the full-body reference, and without the one that has learnt the
-    embedded motions alone.
+    Policies that observe the full-body reference are left out, and so is the policy trained only
+    on the embedded motions.
     """
     families = [*UNTRAINED, *AGENTS]  # the order of tables
     others = [name for name in shipped_systems() if name not in families]
@@ -131,7 +131,7 @@ def everyone() -> list[str]:
 
 
 def representative(agents: Iterable[str]) -> list[str]:
-    """Of all agents as many as a picture holds: the systems, one with physics, one policy."""
+    """The agents that fit into a picture: the systems, one with physics, one policy."""
     return [
         agent
         for agent in agents
@@ -140,6 +140,6 @@ def representative(agents: Iterable[str]) -> list[str]:
 
 
 def at_sensor_rate(motions: Sequence[Motion], count: int | None = None) -> list[Motion]:
-    """Motions at 60 Hz, in a fixed order; at most so many, all kinds in proportion."""
+    """Motions at 60 Hz, in a fixed order; at most ``count``, all kinds in proportion."""
     subset = choose_clips(motions, len(motions) if count is None else count)
     return [motion.resampled(SENSOR_FPS) for motion in subset]

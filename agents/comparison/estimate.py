@@ -1,6 +1,6 @@
-"""What a kinematic system makes of motions, as a library: ``questsim estimate``.
+"""Write the estimates of a kinematic system as a motion library: ``questsim estimate``.
 
-To look at it, to score it by other tools, or to train a policy on a system's own errors.
+Use them to view the poses, to score them with other tools, or to train a policy on estimates.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ class EstimateArgs:
     agent: str = DEFAULT_SYSTEM
     """The system: a name, checkpoint folder or run folder."""
     motions: str = "synthetic"
-    """What the devices report: synthetic, a dataset, a library, file or folder."""
+    """Motions that the device signals are made from: synthetic, a dataset, a library, file or
+    folder."""
     sensors: str | None = None
-    """The devices, a set by name; by default the first that the system is compared with."""
+    """Sensor set by name; by default the set of the system's first comparison scenario."""
     max_clips: int | None = None
-    """Only this many motions, of all kinds."""
+    """Use only this many motions, of all kinds."""
     threads: int = 2
-    """Processes side by side."""
+    """Number of parallel processes."""
     seed: int = 0
-    """Of the embedded motions."""
+    """Seed of the embedded motions."""
 
 
 def estimate(args: EstimateArgs) -> None:
-    """Write the library; motions are called ``NAME@AGENT``, and keep kind, style and licence.
+    """Write the library; motions are named ``NAME@AGENT`` and keep kind, style and licence.
 
     Raises:
-        InputError: a system, sensors or motions that cannot be used, or a file that cannot be
-            written.
+        InputError: the system, sensors or motions cannot be used, or the file cannot be written.
     """
     at_least(1, threads=args.threads, max_clips=args.max_clips)
     at_least(0, seed=args.seed)

@@ -1,8 +1,8 @@
-"""The film of a comparison: the user and every agent side by side, at the same moment.
+"""The film of a comparison: the user and every agent side by side at the same moment.
 
-Poses of kinematic systems are shown on the avatar, in the world where the system has them, over
-the floor that the user stands on: what floats, sinks or skates is seen to. An avatar that is lost
-leaves the picture. Each figure is named, and has its mean joint error below it.
+Poses of kinematic systems are shown on the avatar at their estimated world position over the user's
+floor, so that floating, sinking and skating are visible. An avatar that is lost is removed from the
+picture. Each figure has its name and its mean joint error below it.
 """
 
 from __future__ import annotations
@@ -50,20 +50,20 @@ VIDEO, SHEET = "comparison.mp4", "comparison.png"
 FILES: tuple[str, ...] = (VIDEO, SHEET)
 """What ``film`` writes."""
 CLIPS = 4
-"""Clips that are filmed where none are named: of different kinds."""
+"""Number of clips in the film if none are named, of different kinds."""
 MAX_SECONDS, HOLD_S = 10.0, 0.7
-"""The longest that a clip plays, and how long its last picture stays."""
+"""Longest time in s that a clip plays, and time in s that its last picture is held."""
 STRIDE = 2
 """Every second frame is filmed."""
 MOMENTS = (0.3, 0.7)
-"""Where in a clip the sheet's pictures are taken, as shares of its length."""
+"""Moments of a clip shown in the sheet, as shares of its length."""
 FOVY_DEG = 13.0
-"""A long lens: everybody is seen from nearly the same side."""
+"""A small field of view: all figures are seen from nearly the same side."""
 GHOST_OPACITY = 0.4
 BEHIND_M = 0.12
-"""The ghost is so far behind its figure on the line of sight: it is seen where they differ."""
+"""Distance in m of the ghost behind its figure; it is visible only where the two differ."""
 _COLOURS: dict[str, str] = {**KINDS, "policy": GREEN}  # blue is the user
-_LABEL_SHARE, _TITLE_SHARE = 0.2, 0.08  # of a picture's height, kept free below and above
+_LABEL_SHARE, _TITLE_SHARE = 0.2, 0.08  # shares of a picture's height kept free below and above
 _FREE_SHARE = 1.0 - _LABEL_SHARE - _TITLE_SHARE
 _HIDDEN = np.array([0.0, 0.0, -50.0])  # metres
 _SHEET_SCALE = 0.75
@@ -72,12 +72,12 @@ _SHEET_COLOURS = 128
 
 @dataclass(frozen=True)
 class Size:
-    """Of pictures in pixels.
+    """Size of pictures in pixels.
 
     Attributes:
-        figure: width that one figure has.
-        height: of a picture.
-        least, most: width of a picture.
+        figure: width per figure.
+        height: height of a picture.
+        least, most: smallest and largest width of a picture.
     """
 
     figure: int = 200
@@ -86,11 +86,11 @@ class Size:
     most: int = 1920
 
     def scaled(self, by: float) -> Size:
-        """The same shape, larger or smaller."""
+        """The same proportions, scaled."""
         return Size(*(round(by * pixels) for pixels in vars(self).values()))
 
     def width(self, figures: int) -> int:
-        """Of a picture of so many figures."""
+        """Width of a picture with ``figures`` figures."""
         return min(max(self.figure * figures, self.least), self.most) // 2 * 2
 
 
@@ -102,9 +102,9 @@ class FilmFigure:
     """One figure in one clip.
 
     Attributes:
-        name, told: of the agent, and of what it reads.
-        kind: of ``KINDS``; empty for the user.
-        clip: what it does; shorter than the user's where it was lost.
+        name, told: name of the agent, and its devices in words.
+        kind: one of ``KINDS``; empty for the user.
+        clip: its motion; shorter than the user's if it was lost.
     """
 
     name: str
@@ -119,13 +119,13 @@ def film(
     out: Path,
     threads: int,
 ) -> None:
-    """Write ``FILES``, or say in one line why not.
+    """Write ``FILES``, or print one line saying why they could not be written.
 
     Args:
         agents: as in ``comparison.compare``.
-        motions: at 60 Hz, one after the other.
+        motions: at 60 Hz, shown one after the other.
         out: the folder.
-        threads: of the physics.
+        threads: physics threads.
     """
     if not find_gl():
         print(f"video skipped: {missing_gl()}", file=sys.stderr)
@@ -146,10 +146,10 @@ def film(
 
 
 def to_be_filmed(motions: Sequence[Motion], names: Sequence[str]) -> list[Motion]:
-    """The motions of those names, or ``CLIPS`` of all kinds, at 60 Hz.
+    """The motions with these names, or ``CLIPS`` motions of all kinds, at 60 Hz.
 
     Raises:
-        InputError: there is no clip of a name.
+        InputError: no clip has one of the names.
     """
     if names:
         found = named(motions, names, "--video-clips")
@@ -158,7 +158,7 @@ def to_be_filmed(motions: Sequence[Motion], names: Sequence[str]) -> list[Motion
     return [motion.resampled(SENSOR_FPS) for motion in found]
 
 
-# -- who does what -----------------------------------------------------------------------------
+# -- motions of the agents ---------------------------------------------------------------------
 
 
 def _user(motion: Motion) -> FilmFigure:
@@ -166,7 +166,7 @@ def _user(motion: Motion) -> FilmFigure:
 
 
 def parts_of(agent: str, motions: Sequence[Motion], threads: int) -> list[FilmFigure]:
-    """What an agent does in each of the motions, in one scenario: see ``_shown``."""
+    """An agent's result on each motion in one scenario, see ``_shown``."""
     kinematic, physics, policy = KINDS
     if resolve(agent).torques:
         loaded = load_agent(agent)
@@ -184,7 +184,7 @@ def parts_of(agent: str, motions: Sequence[Motion], threads: int) -> list[FilmFi
 
 
 def _shown(found: Sequence[Scenario]) -> Scenario:
-    """That of six trackers, or the first."""
+    """The scenario with six trackers, otherwise the first."""
     return next((scenario for scenario in found if scenario.name == "6"), found[0])
 
 
@@ -222,7 +222,7 @@ class Scene:
         self.errors_cm = [self._errors(part.clip) for part in parts]
 
     def _spacing(self, right: np.ndarray) -> float:
-        """Metres between two figures: what the widest pose takes, or the picture has room for."""
+        """Metres between two figures: by the widest pose, or by the width of the picture."""
         clip = self.user
         points = outline_points(clip.link_position, clip.link_quat, clip.height_m)[: self.frames]
         across = (points - clip.qpos[: self.frames, None, :3]) @ right
@@ -233,7 +233,7 @@ class Scene:
         return float(max(needed, room))
 
     def _cameras(self, azimuth: float) -> list[Camera]:
-        """Everybody is in the picture, above the labels; the lost no more."""
+        """One camera per frame that shows every figure not yet lost, above the labels."""
         user, height = self.user, self.user.height_m
         points = []
         for part, offset in zip(self.parts, self.offsets, strict=True):
@@ -250,7 +250,7 @@ class Scene:
             margin=0.96 * _FREE_SHARE,
             fovy_deg=FOVY_DEG,
         )
-        # The middle of what is free is not that of the picture.
+        # The free area is not centred in the picture.
         down = (_LABEL_SHARE - _TITLE_SHARE) * np.tan(np.radians(FOVY_DEG) / 2.0)
         return [replace(c, lookat=c.lookat - [0.0, 0.0, down * c.distance]) for c in cameras]
 
@@ -267,7 +267,7 @@ class Scene:
         return figures
 
     def poses(self, frame: int) -> list[np.ndarray]:
-        """``qpos`` of ``figures``; the lost are out of sight."""
+        """``qpos`` of ``figures``; lost ones are placed out of sight."""
         user, behind = self.user.qpos[frame], BEHIND_M * self.cameras[frame].axes()[2]
         poses = [_moved(user, self.offsets[0])]
         for part, offset in zip(self.parts[1:], self.offsets[1:], strict=True):
@@ -341,7 +341,7 @@ def pictures(scene: Scene) -> Iterator[np.ndarray]:
 
 
 def sheet(scenes: Sequence[Scene]) -> Image.Image:
-    """A few moments of each clip, one below the other, smaller than in the film."""
+    """A few moments of each clip, one row per clip, smaller than in the film."""
     rows = []
     for scene in scenes:
         small = Scene(scene.parts, scene.size.scaled(_SHEET_SCALE))
@@ -349,7 +349,7 @@ def sheet(scenes: Sequence[Scene]) -> Image.Image:
             for share in MOMENTS:
                 frame = round(share * (scene.frames - 1))
                 picture = renderer.render(scene.poses(frame), scene.cameras[frame])
-                # Reduced, for smooth shadows, before there is text on it.
+                # Scaled down for smooth shadows before text is drawn on it.
                 reduced = Image.fromarray(picture).resize((small.width, small.size.height))
                 rows.append(_captioned(np.asarray(reduced), small, frame))
     page = Image.fromarray(np.concatenate(rows))

@@ -11,21 +11,21 @@ class CompareArgs:
     """Compare kinematic systems and policies on the same frames."""
 
     agents: tuple[str, ...] = ()
-    """All that --agent takes: names, checkpoint and run folders, classes of your own, systems
-    with +physics after the name. By default what is shipped."""
+    """Agents to compare: everything that --agent accepts (names, checkpoint and run folders, your
+    own classes, systems followed by +physics). By default all shipped agents."""
     motions: str = "synthetic"
-    """What to reconstruct: synthetic, a dataset, a library, file or folder."""
+    """Motions to reconstruct: synthetic, a dataset, a library, file or folder."""
     sensors: str | None = None
-    """Only with this set of sensors, e.g. H+2C or 6T; by default with all that an agent can use."""
+    """Use only this sensor set, e.g. H+2C or 6T; by default every set that an agent supports."""
     out: Path
     """Folder for tables, figures and the film."""
     video: bool = False
     """Also write a film of all agents side by side."""
     video_clips: tuple[str, ...] = ()
-    """Names of the clips that the film shows; by default some of different kinds."""
+    """Names of the clips in the film; by default some of different kinds."""
     max_clips: int | None = None
     """Reconstruct only this many motions, of all kinds."""
     threads: int = 2
-    """Processes side by side."""
+    """Number of parallel processes."""
     seed: int = 0
-    """Of faults and of the embedded motions."""
+    """Seed of device faults and of the embedded motions."""

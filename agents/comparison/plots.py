@@ -1,4 +1,4 @@
-"""The two figures of a comparison: how accurate its rows are, and how plausible."""
+"""The two plots of a comparison: accuracy and physical plausibility of its rows."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from agents.resolve import base_of
 from questsim.plots import BLUE, GREEN, GREY, ORANGE, figure_file
 
 KINDS: dict[str, str] = {"kinematic": GREY, "with physics behind it": ORANGE, "policy": BLUE}
-"""Colours of what a row may be."""
+"""Colours by kind of row."""
 
 Pair = tuple[str, tuple[tuple[str, str, str], ...]]
 _ACCURACY: tuple[Pair, ...] = (
@@ -30,14 +30,14 @@ _LONGEST_NAME = 26
 
 
 def kind_of(row: Row) -> str:
-    """Which of ``KINDS`` a row is; only what was simulated has a success."""
+    """The kind of a row, one of ``KINDS``; only simulated rows have a success figure."""
     if row.pooled.get("success_percent") is None:
         return "kinematic"
     return "with physics behind it" if base_of(row.agent) is not None else "policy"
 
 
 def plot_accuracy(rows: Sequence[Row], path: Path) -> None:
-    """Errors of all joints and of hands and ends, a pair of bars a row, over all frames."""
+    """Errors of all joints and of hands and ends over all frames, a pair of bars per row."""
     rows = [row for row in rows if row.agent != RECORDING]
     with figure_file(path, 9.0, 0.42 * len(rows) + 1.2) as figure:
         axes = figure.subplots(1, 2, sharey=True)
@@ -58,7 +58,7 @@ def plot_accuracy(rows: Sequence[Row], path: Path) -> None:
 
 
 def plot_plausibility(rows: Sequence[Row], path: Path) -> None:
-    """Skating, floating, penetration and force on the root; the colour says what a row is."""
+    """Skating, floating, penetration and root force; the colour shows the kind of row."""
     with figure_file(path, 11.0, 0.3 * len(rows) + 1.3) as figure:
         axes = figure.subplots(1, len(_PLAUSIBILITY), sharey=True)
         kinds = [kind_of(row) for row in rows]
@@ -79,12 +79,12 @@ def _bars(
     colours: Sequence[str],
     height: float,
 ) -> None:
-    """Bars with their figures; a dash where there is none."""
+    """Bars labelled with their values; a dash for a missing value."""
     lengths = [value or 0.0 for value in values]
     bars = axis.barh(at, lengths, color=colours, height=height)
     texts = ["-" if value is None else f"{value:.2f}" for value in values]
     axis.bar_label(bars, texts, padding=3, fontsize=7)
-    # The widest so far: the axes are drawn on more than once, and the figures need their room.
+    # Keep the widest limit so far: the axes are drawn on repeatedly, and labels need space.
     axis.set_xlim(0.0, max(1.18 * max(lengths, default=0.0), axis.dataLim.x1 * 1.18, 0.1))
 
 

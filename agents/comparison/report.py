@@ -1,4 +1,4 @@
-"""The table of a comparison: its rows, and how they are written."""
+"""The table of a comparison: its rows and the files they are written to."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from questsim.files import whole_file
 SCHEMA, SCHEMA_VERSION = "questsim-comparison", 1
 WEIGHTINGS = ("equal", "pooled")
 RECORDING = "recording"
-"""What the row of the motions themselves is called."""
+"""Name of the row for the motions themselves."""
 
 
 @dataclass(frozen=True)
@@ -25,12 +25,12 @@ class Row:
     """One line of the table.
 
     Attributes:
-        agent, scenario: what was run in which.
-        parameters: of the networks, the tracker's among them.
-        equal: means of the clips' means; pooled: means over all frames, long clips weigh more.
-        ms: milliseconds a frame, streamed; None where not measured.
-        mmac: millions of multiply-accumulates a frame, streamed; None where not counted.
-        stream_kib: KiB that a stream keeps from frame to frame; None where not counted.
+        agent, scenario: names of the agent and of its scenario.
+        parameters: number of network parameters, including the tracker's.
+        equal: means of the clips' means; pooled: means over all frames, so long clips weigh more.
+        ms: milliseconds per streamed frame; None if not measured.
+        mmac: millions of multiply-accumulates per streamed frame; None if not counted.
+        stream_kib: KiB of state that a stream keeps between frames; None if not counted.
     """
 
     agent: str
@@ -43,20 +43,20 @@ class Row:
     stream_kib: float | None = None
 
     def figures(self, weighting: str) -> dict[str, float | None]:
-        """Of a weighting in ``WEIGHTINGS``."""
+        """The figures under a weighting in ``WEIGHTINGS``."""
         return self.pooled if weighting == "pooled" else self.equal
 
 
 def row_of(
     agent: str, scenario: str, count: int, scored: Sequence[dict[str, np.ndarray]], ms: float | None
 ) -> Row:
-    """A line of the means of samples.
+    """A row with the means of the samples.
 
     Args:
-        agent, scenario: what was run in which.
-        count: parameters.
-        scored: one dictionary of samples a clip; a name that some lack counts where it is.
-        ms: milliseconds a frame.
+        agent, scenario: names of the agent and of its scenario.
+        count: number of parameters.
+        scored: one dictionary of samples per clip; a mean uses only clips that have its name.
+        ms: milliseconds per frame.
     """
     names = list(dict.fromkeys(name for samples in scored for name in samples))
 
@@ -87,7 +87,7 @@ LABELS: dict[str, str] = {
     "success_percent": "success (%)", "parameters": "parameters", "mmac": "MMAC a frame",
     "stream_kib": "KiB a stream", "ms": "ms a frame",
 }  # fmt: skip
-"""Names of figures in tables."""
+"""Labels of figures in tables."""
 
 TABLES: dict[str, tuple[str, ...]] = {
     "Heads moved onto each other (HMD-Poser, LGSIK-Poser)": HEADS_ALIGNED,
@@ -109,7 +109,7 @@ def table(rows: Sequence[Row], names: Sequence[str], weighting: str = "pooled") 
 
     Args:
         rows: one line each.
-        names: of ``LABELS``.
+        names: keys of ``LABELS``.
         weighting: ``equal`` or ``pooled``.
     """
     head = ["agent", "scenario", *(LABELS[name] for name in names)]
@@ -128,7 +128,7 @@ def _cell(value: float | None) -> str:
 
 
 def tables(rows: Sequence[Row]) -> str:
-    """All tables as Markdown, means over all frames, and at the end once more over clips."""
+    """All tables as Markdown: means over all frames, then the same with clips weighted equally."""
     parts = []
     for title, names in TABLES.items():
         parts += [f"## {title}", "", table(rows, names), ""]

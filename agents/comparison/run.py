@@ -1,4 +1,4 @@
-"""How each agent of a comparison is run and scored: clip by clip, on several processes."""
+"""Run and score each agent of a comparison, clip by clip, on several processes."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ from questsim.root_force import root_force
 from questsim.sensors import SENSOR_SETS
 
 TIMED_FRAMES = 600
-"""Frames over which streaming is timed."""
+"""Number of frames over which streaming is timed."""
 
 JobT = TypeVar("JobT")
 ResultT = TypeVar("ResultT")
 
 
 class Mapper(Protocol):
-    """As ``map``: the results of a function of every job, in their order."""
+    """Like ``map``: the results of a function on every job, in order."""
 
     def __call__(
         self, function: Callable[[JobT], ResultT], jobs: Iterable[JobT], /
@@ -65,9 +65,9 @@ def _begin_process() -> None:
 
 @contextmanager
 def workers(count: int) -> Iterator[Mapper]:
-    """A ``map`` whose jobs run on so many processes, each on one thread: the bits are the same.
+    """A ``map`` on several processes with one thread each; results have the same bits.
 
-    Threads would not do: most of a frame's time is Python's.
+    Threads would not help: Python code takes most of a frame's time.
     """
     torch.set_num_threads(1)
     if count == 1:
@@ -78,7 +78,7 @@ def workers(count: int) -> Iterator[Mapper]:
 
 
 def devices_named(sensors: str | None) -> tuple[str, ...] | None:
-    """The devices of ``--sensors``; None where it is not given.
+    """The devices of ``--sensors``; None if it is not given.
 
     Raises:
         InputError: there is no such set.
@@ -92,7 +92,7 @@ def devices_named(sensors: str | None) -> tuple[str, ...] | None:
 
 
 def suiting(agent: str, devices: Sequence[str] | None) -> list[Scenario]:
-    """What an agent can be run in; only what is of just these devices, if any are named.
+    """The scenarios that an agent supports; with ``--sensors``, only those of its devices.
 
     Raises:
         InputError: there is no such agent.
@@ -117,7 +117,7 @@ def rows_of(
     threads: int,
     mapper: Mapper,
 ) -> Iterator[Row]:
-    """All rows of one agent: a system, one with physics behind it, or a torque policy."""
+    """All rows of one agent: a system, a system with physics, or a torque policy."""
     if resolve(agent).torques:
         yield run_policy(agent, chosen[0], motions, threads)
         return
@@ -129,7 +129,7 @@ def rows_of(
 
 
 def run_recording(motions: Sequence[Motion], mapper: Mapper = map) -> Row:
-    """The motions held against themselves: no error, but how they skate, jitter and float."""
+    """The row of the motions themselves: zero errors, their own skating, jitter and floating."""
     return row_of(RECORDING, "60 Hz", 0, list(mapper(_scored_itself, motions)), None)
 
 
@@ -174,13 +174,13 @@ def _samples(poses: Poses, motion: Motion, ends: Sequence[int] = ENDS) -> dict[s
     samples = pose_samples(got, poses.rotations, want, motion.rotations, motion.fps, ends)
     try:
         force = root_force(to_clip(poses.to_motion(motion.name)))
-    except InputError:  # a body that no avatar has
+    except InputError:  # no avatar has this stature
         force = np.zeros(0)
     return samples | {"root_force_bw": force}
 
 
 def reconstructed(job: Job) -> Poses:
-    """What a system makes of a motion at 60 Hz; as on a stream, or each frame from its window."""
+    """A system's estimate of a motion at 60 Hz, streamed or each frame from its window."""
     agent, scenario, motion, _ = job
     system, sequence, body = _loaded(agent, scenario.options), _told(job), UserBody.of(motion)
     if scenario.online:
@@ -190,14 +190,14 @@ def reconstructed(job: Job) -> Poses:
 
 
 def _told(job: Job) -> SensorSequence:
-    """What the devices report, with the scenario's faults."""
+    """The device signals, with the scenario's faults."""
     _, scenario, motion, seed = job
     sequence = readings(motion, scenario.devices)
     return faulty(sequence, scenario.faults, seed) if scenario.faults else sequence
 
 
 def _streamed_ms(scenario: Scenario, jobs: Sequence[Job]) -> float | None:
-    """Milliseconds a frame on one thread, over the first frames; None of windows."""
+    """Milliseconds per frame on one thread over the first frames; None for windows."""
     if scenario.online:
         return None
     seconds, frames = 0.0, 0
@@ -216,7 +216,7 @@ def _streamed_ms(scenario: Scenario, jobs: Sequence[Job]) -> float | None:
 
 
 def parameters(system: KinematicSystem) -> int:
-    """How many numbers a system's networks have; 0 without networks."""
+    """Number of parameters of a system's networks; 0 without networks."""
     module = getattr(system, "module", None)
     return sum(p.numel() for p in module.parameters()) if module is not None else 0
 
@@ -227,9 +227,9 @@ def parameters(system: KinematicSystem) -> int:
 def run_physics(
     agent: str, scenario: Scenario, motions: Sequence[Motion], threads: int, mapper: Mapper = map
 ) -> list[Row]:
-    """Two rows: a system's poses on the avatar without physics, and with.
+    """Two rows: a system's poses on the avatar without and with physics.
 
-    Both are held against the motion on the avatar. Milliseconds are a frame of 60 Hz.
+    Both are compared with the motion on the avatar. Milliseconds are per 60 Hz frame.
     """
     base = base_of(agent) or agent
     jobs = [(base, scenario, motion, 0) for motion in motions]
@@ -250,12 +250,12 @@ def run_physics(
 
 
 def reference(job: Job) -> Clip:
-    """What the avatar is asked to follow: a system's poses on it."""
+    """The avatar's reference: a system's poses retargeted to it."""
     return reference_of(reconstructed(job), job[2])
 
 
 def run_policy(agent: str, scenario: Scenario, motions: Sequence[Motion], threads: int) -> Row:
-    """A torque policy on the same motions, with the devices it was made for."""
+    """The row of a torque policy on the same motions, with the devices it was trained with."""
     policy = load_agent(agent)
     began = time.perf_counter()
     rollouts = roll_out(policy, [to_clip(m) for m in motions], env_config(policy), threads)

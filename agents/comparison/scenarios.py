@@ -1,4 +1,4 @@
-"""What each kinematic system is given in a comparison: the scenarios of its entry, and faults."""
+"""The comparison scenarios of each kinematic system, and faulty devices."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from questsim.joint_sensors import SensorSequence
 __all__ = ["PAPER_NAMES", "SIX", "WINDOW", "Scenario", "faulty", "scenarios"]
 
 SILENT_FRAMES = 100
-"""A faulty tracker returns after so many frames (DragPoser)."""
+"""Number of frames after which a faulty tracker returns (DragPoser)."""
 
 
 def scenarios(system: KinematicSystem) -> tuple[Scenario, ...]:
-    """The scenarios that suit a system."""
+    """The scenarios that a system supports."""
     return system.scenarios
 
 
 def faulty(sequence: SensorSequence, probability: float, seed: int) -> SensorSequence:
-    """Each frame one device falls silent with that probability, and returns after 100 frames.
+    """In each frame, one device drops out with this probability; it returns after 100 frames.
 
-    Source: DragPoser's faulty trackers. Never all of them: the first that is asked stays.
+    Source: DragPoser's faulty trackers. At least one device always reports.
     """
     rng, present = np.random.default_rng(seed), sequence.present.copy()
     for frame in range(1, len(sequence)):

@@ -1,4 +1,4 @@
-"""Training data of the kinematic systems: windows of recordings, on people of many proportions."""
+"""Training data of the kinematic systems: windows of recordings on bodies of varied proportions."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from questsim.proportions import leg_length, random_scales, scaled_offsets
 from questsim.skeleton import MIRROR_JOINTS
 
 UNCHANGED = 0.25
-"""Share of windows that keep the performer's own proportions."""
+"""Share of windows with the performer's own proportions."""
 
 
 @dataclass(frozen=True)
 class Windows:
-    """A batch of motion, all of it float32.
+    """A batch of motion; all arrays are float32.
 
     Attributes:
-        local: ``(B, T, 22, 3, 3)`` rotations in the parent.
+        local: ``(B, T, 22, 3, 3)`` rotations in the parent's frame.
         world: ``(B, T, 22, 3, 3)`` orientations.
         position: ``(B, T, 22, 3)`` joints in metres.
         offsets: ``(B, 22, 3)``.
@@ -49,11 +49,11 @@ class Windows:
 
 
 class MotionBank:
-    """All frames of some recordings at 60 fps, to draw windows from.
+    """All frames of the recordings at 60 fps, to draw windows from.
 
     Args:
-        motions: any frame rates.
-        length: frames of a window; shorter motions are left out.
+        motions: of any frame rate.
+        length: frames per window; shorter motions are left out.
 
     Raises:
         InputError: no motion is long enough.
@@ -76,16 +76,16 @@ class MotionBank:
 
     @property
     def template(self) -> np.ndarray:
-        """``(22, 3)`` the mean of the performers' offsets."""
+        """Mean ``(22, 3)`` of the performers' offsets."""
         return self.offsets.mean(axis=0)
 
     def draw(self, count: int, rng: np.random.Generator, vary: bool = True) -> Windows:
-        """A batch of windows: anywhere, every second one mirrored, turned anyhow about z.
+        """A batch of windows at random times and headings; every second one is mirrored.
 
         Args:
-            count: windows.
-            rng: draws everything.
-            vary: whether most people get other proportions; else all are as recorded.
+            count: number of windows.
+            rng: source of all random numbers.
+            vary: whether most bodies get random proportions; otherwise all are as recorded.
         """
         clip = rng.choice(len(self.first), size=count, p=self._probability)
         start = self.first[clip] + (rng.random(count) * self.starts[clip]).astype(np.int64)
@@ -103,14 +103,14 @@ class MotionBank:
         return _windows(rotations, root, offsets, rng.uniform(-np.pi, np.pi, count))
 
     def fixed(self, count: int) -> Windows:
-        """A fixed set of windows, spread over all recordings, to compare checkpoints by."""
+        """A fixed set of windows from all recordings, to compare checkpoints."""
         return self.draw(count, np.random.default_rng(20_260))
 
 
 def _mirror(
     rotations: np.ndarray, root: np.ndarray, offsets: np.ndarray, which: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Windows of ``which`` as in a mirror at the x-z plane; see ``Motion.mirrored``."""
+    """Mirror the windows of ``which`` at the x-z plane; see ``Motion.mirrored``."""
     turned = rotations[:, :, MIRROR_JOINTS] * np.array([1, -1, 1, -1], np.float32)
     flip = np.array([1.0, -1.0, 1.0])
     return (
@@ -136,7 +136,7 @@ def _windows(
 
 
 def motions_record(spec: str, motions: Sequence[Motion]) -> dict[str, Any]:
-    """What a training learnt from, as ``run_folder.data_record`` has it for clips."""
+    """Record of the training data, like ``run_folder.data_record`` for clips."""
     digest = hashlib.sha256()
     for motion in sorted(motions, key=lambda motion: motion.name):
         digest.update(f"{motion.name} {motion.source_sha256} {motion.fps:g}".encode())

@@ -1,4 +1,4 @@
-"""Weights that are derived from parameters, and derived only once while a network just answers."""
+"""Weights derived from parameters; in inference they are derived only once."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ _T = TypeVar("_T")
 
 
 class DerivedWeights(nn.Module):
-    """A module that keeps what it derives from its parameters while they cannot change."""
+    """A module that caches weights derived from its parameters while these cannot change."""
 
     def __init__(self) -> None:
         super().__init__()
         self._kept: object = None
 
     def train(self, mode: bool = True) -> DerivedWeights:
-        """Switch to training or evaluation; forgets what is kept for evaluation."""
+        """Switch to training or evaluation; clears the cache."""
         self._kept = None
         return super().train(mode)
 
     def derived(self, make: Callable[[], _T]) -> _T:
-        """What ``make`` gives, kept while evaluating without gradients."""
+        """The result of ``make``, cached in evaluation without gradients."""
         if self.training or torch.is_grad_enabled():
             return make()
         if self._kept is None:

@@ -1,4 +1,4 @@
-"""What a stream costs a kinematic system: multiply-accumulates a frame, and memory."""
+"""Cost of streaming a kinematic system: multiply-accumulates per frame, and memory."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ COUNTED_FRAMES = 4
 
 
 def mmac_a_frame(system: KinematicSystem, sequence: SensorSequence, body: UserBody) -> float:
-    """Millions of multiply-accumulates of matrix products and convolutions a streamed frame.
+    """Millions of multiply-accumulates of matrix products and convolutions per streamed frame.
 
-    Counted by ``torch.utils.flop_counter`` (a multiply-accumulate is two operations) over a few
-    frames in the middle of a stream, of what is really computed: masked-out weights count. Where
-    a stream has compiled products of its own, PyTorch's are counted, which multiply the same. Left
-    out are sums, activations and other products that are not PyTorch's; attention between eight
-    tokens is counted where it is a matrix product.
+    ``torch.utils.flop_counter`` counts them (two operations per multiply-accumulate) over a few
+    frames in the middle of a stream. It counts the executed products, including masked-out weights.
+    If a stream has its own compiled products, the equivalent PyTorch products are counted. Sums,
+    activations and products outside PyTorch are not counted; attention between eight tokens is
+    counted where it is a matrix product.
 
     Args:
-        system: to be measured; its stream begins anew.
-        sequence: of devices it can use, without dropouts.
-        body: the user's.
+        system: the system to measure; its stream is restarted.
+        sequence: signals of devices that it can use, without dropouts.
+        body: the user's body.
     """
     fused = torch.backends.mha.get_fastpath_enabled()
     # The fused transformer layer of inference hides its products from the counter.
@@ -50,22 +50,22 @@ def mmac_a_frame(system: KinematicSystem, sequence: SensorSequence, body: UserBo
 
 
 def stream_kib(system: KinematicSystem) -> float:
-    """KiB of the tensors and arrays that a system keeps from frame to frame.
+    """KiB of the tensors and arrays that a system keeps between frames.
 
-    Everything that its stream has, the user's bones among it; networks, which streams share, and
-    Python's own objects are left out. Tensors that are views of one storage count once, whole.
+    This is all state of the stream, including the user's bones. Networks, which streams share, and
+    plain Python objects are not counted. Views of one storage count once, with the whole storage.
 
     Args:
         system: in the middle of a stream.
     """
     found: dict[int, int] = {}
-    # Networks and options have public names; what ``reset`` sets is private.
+    # Networks and options have public names; state set by ``reset`` is private.
     _add([value for name, value in vars(system).items() if name.startswith("_")], found)
     return sum(found.values()) / 1024.0
 
 
 def _add(value: Any, found: dict[int, int]) -> None:
-    """Note address and bytes of every tensor and array in nested containers."""
+    """Record address and size in bytes of every tensor and array in nested containers."""
     if isinstance(value, torch.Tensor):
         storage = value.untyped_storage()
         found[storage.data_ptr()] = storage.nbytes()

@@ -1,4 +1,4 @@
-"""What a family of kinematic systems exports; ``registry.py`` collects the entries."""
+"""The registry entry of a family of kinematic systems; ``registry.py`` collects the entries."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ HEADS_ALIGNED: tuple[str, ...] = (
 )  # fmt: skip
 ROOTS_ALIGNED: tuple[str, ...] = ("pos_cm", "rot_deg", "vel_cm_s", "ee_cm", "jitter_100_m_s3")
 CPU = Learning(batch=32, window=42, warm_up=200, bfloat16=True)
-"""Small batches in bfloat16: in half an hour on one core, many steps do more than exact ones."""
+"""Small batches in bfloat16: for half an hour on one core, more steps help more than precision."""
 SMOKE = Learning(batch=8, evaluate_every=20, steps=60, learning_rate=2e-3)
 
 
 @dataclass(frozen=True)
 class Entry:
-    """Everything that is particular to one family of systems, named in one place.
+    """Everything specific to one family of systems, in one place.
 
     Attributes:
-        title: its name in full.
-        sensors: the named sets of ``questsim.sensors`` that it reads.
+        title: full name.
+        sensors: names of the sets in ``questsim.sensors`` that it reads.
         presets: ``paper``, ``cpu``, ``smoke``.
-        build: an untrained module of a spec.
+        build: creates an untrained module from a spec.
         task: see ``learning.TaskMaker``.
-        system: of module, name, stages trained, and options.
-        optional: stages that are left out where this switch of the spec is off.
-        scenarios: what it is given in a comparison.
-        figures: the figures of its paper's own tables, of ``agents.comparison.report.LABELS``.
+        system: creates the system from module, name, trained stages and options.
+        optional: by stage, the switch of the spec that turns the stage off.
+        scenarios: its scenarios in a comparison.
+        figures: figures in its paper's own tables, as keys of ``agents.comparison.report.LABELS``.
         variants: its paper's ablations.
-        ablated_in: names of the scenarios in which they are scored.
-        paper_ms: milliseconds a frame of the released code on one thread, at the published size.
+        ablated_in: names of the scenarios in which the variants are scored.
+        paper_ms: milliseconds per frame of the released code on one thread, at the published size.
     """
 
     title: str
@@ -56,7 +56,7 @@ class Entry:
     paper_ms: float | None = None
 
     def needed(self, config: Config) -> Config:
-        """A preset without the stages that its spec does without; the others share the time."""
+        """A preset without the stages that its spec turns off; the others share the time."""
         stages = {
             name: learning
             for name, learning in config.stages.items()
@@ -73,12 +73,12 @@ def no_options(name: str, options: dict[str, Any], known: tuple[str, ...] = ()) 
     """Refuse options that a system does not have.
 
     Args:
-        name: of the system, for the message.
-        options: that were given.
-        known: names of those that it has.
+        name: the system's name, for the message.
+        options: the given options.
+        known: names of the options that it has.
 
     Raises:
-        InputError: naming the first of the others.
+        InputError: names the first unknown option.
     """
     for option in options:
         if option not in known:

@@ -24,18 +24,18 @@ LOG_EVERY = 20
 
 @dataclass
 class Fit:
-    """A module, the task of a stage, and where its checkpoints go.
+    """A module, the task of a stage, and the folder of its checkpoints.
 
     Attributes:
-        name: of the stage.
+        name: name of the stage.
         module: all networks of the system; the task says which are trained.
         task: batches, loss and validation.
         learning: optimiser and intervals.
         folder: gets ``last/``, ``best/`` and ``tensorboard/``.
-        budget: how long; its steps are gradient steps.
-        save: writes a checkpoint folder, with the card's training and, for going on, a state.
-        record: what to note in the checkpoint beside steps and figures.
-        seed: of everything that is random.
+        budget: limits of time and of gradient steps.
+        save: writes a checkpoint folder with the training record and the state for resuming.
+        record: saved in the checkpoint in addition to steps and figures.
+        seed: seed of all random numbers.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Fit:
         self._rng = np.random.default_rng(self.seed)
 
     def resume(self) -> None:
-        """Go on from the last checkpoint: steps, networks, optimiser and random states."""
+        """Continue from the last checkpoint: steps, networks, optimiser and random states."""
         state = load_resume(self.folder / "last")
         self.module.load_state_dict(state["module"])
         self._optimiser.load_state_dict(_int_keys(state["optimiser"]))
@@ -173,7 +173,7 @@ class Fit:
 
 
 def _plain_rng(rng: np.random.Generator) -> dict[str, Any]:
-    """PCG64's state with its two long numbers as text, which every file format can hold."""
+    """PCG64's state with its two long integers as text, which every file format can store."""
     state = rng.bit_generator.state
     return {**state, "state": {key: str(value) for key, value in state["state"].items()}}
 

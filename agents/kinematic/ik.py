@@ -1,8 +1,8 @@
-"""Classical inverse kinematics for six trackers: the floor of the comparison.
+"""Classical inverse kinematics for six trackers: the baseline of the comparison.
 
-The avatar's MuJoCo body, its bones as long as the user's, is moved by differential inverse
-kinematics within the ranges of its joints (mink, after Pink; a quadratic programme a step). Its
-frame tasks are the trackers' joints, a posture task holds what they leave open near standing.
+Differential inverse kinematics (mink, after Pink; one quadratic programme per step) moves the
+avatar's MuJoCo body, with the user's bone lengths, within its joint ranges. The tracked joints are
+frame tasks; a posture task keeps the remaining freedom near a standing pose.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ _TASKS = (
     ("right_toe_tracker", "right_foot", 5.0, 1.0),
 )
 POSTURE_COST = 0.02
-"""Of each joint's angle against standing, beside the trackers' 5 or 10 a metre."""
+"""Cost of each joint's deviation from standing; the trackers' costs are 5 or 10 per metre."""
 DAMPING = 0.1
-"""Of every step: with less, arms near the limits of their hinges jump between solutions."""
+"""Damping of every step; with less, arms near their joint limits jump between solutions."""
 ITERATIONS, FIRST_ITERATIONS = 4, 60
 STEP_S = 0.1
-"""Seconds of one step; gains of 1 reach the goal in one second."""
+"""Duration of one step in s; gains of 1 reach the target in one second."""
 
 
-# Straight limbs are where a solver gets stuck: it begins, and comes to rest, a little bent.
+# Straight limbs are singular: start and rest pose are slightly bent.
 _BENT = {"hip_y": -0.3, "knee_y": 0.6, "ankle_y": -0.3, "elbow_y": -0.6}
 
 
 def _standing(model: mujoco.MjModel) -> np.ndarray:
-    """Pose ``(40,)`` that is tended to where trackers leave a choice."""
+    """Target pose ``(40,)`` of the posture task."""
     qpos = model.qpos0.copy()
     for side in SIDES:
         for hinge, angle in _BENT.items():
@@ -54,9 +54,9 @@ def _standing(model: mujoco.MjModel) -> np.ndarray:
 
 
 def user_model(offsets: np.ndarray) -> mujoco.MjModel:
-    """The avatar with bones as long as those of ``(22, 3)`` offsets, massless of meaning.
+    """The avatar with the bone lengths of ``(22, 3)`` offsets; its masses have no meaning.
 
-    Its links' frames stay those of the avatar; its pelvis is midway between the user's hips.
+    Link frames stay those of the avatar; the pelvis is midway between the user's hips.
     """
     places = _link_places(offsets)
     spec = scaled_spec(float(np.clip(stature_of(offsets), 1.2, 2.2)))
@@ -69,7 +69,7 @@ def user_model(offsets: np.ndarray) -> mujoco.MjModel:
 
 
 def _rest(link: str) -> np.ndarray:
-    """Orientation of a link in its joint's frame; arms hang in the avatar's zero pose."""
+    """Orientation of a link in its joint's frame; in the avatar's zero pose the arms hang."""
     side, _, part = link.partition("_")
     if part in ("upper_arm", "forearm", "hand"):
         return ARM_REST[side]
@@ -77,7 +77,7 @@ def _rest(link: str) -> np.ndarray:
 
 
 def _link_places(offsets: np.ndarray) -> np.ndarray:
-    """``(16, 3)`` origin of each link in its parent link's frame."""
+    """Origin ``(16, 3)`` of each link in its parent link's frame."""
     hips = offsets[[JOINTS.index("left_hip"), JOINTS.index("right_hip")]].mean(axis=0)
     places = np.zeros((len(LINKS), 3))
     for link in range(1, len(LINKS)):
@@ -96,7 +96,7 @@ class InverseKinematics(KinematicSystem):
     """The solver on a stream of six trackers; it needs no training.
 
     Args:
-        iterations: steps of the solver a frame.
+        iterations: solver steps per frame.
     """
 
     name, devices, required = "ik", DEVICES, DEVICES
@@ -132,7 +132,7 @@ class InverseKinematics(KinematicSystem):
             position, quat = signals.position[0, column], signals.quat[0, column]
             if link == "pelvis":
                 position = position + rot.quat_rotate(quat, self._hips)
-                # The pelvis's tracker says where the root is; steps refine it with the rest.
+                # The root starts at the pelvis tracker; the solver steps refine it.
                 qpos[:7] = np.concatenate([position, quat])
             turned = rot.quat_multiply(quat, _rest(link))
             task.set_target(mink.SE3(np.concatenate([turned, position])))
@@ -147,7 +147,7 @@ class InverseKinematics(KinematicSystem):
         return self._poses()
 
     def _poses(self) -> Poses:
-        """The avatar's links as the 22 joints; what it lacks is at rest against its parent."""
+        """The 22 joints from the avatar's links; joints without a link keep their rest rotation."""
         links = self._configuration.data.xquat[1 : len(LINKS) + 1].copy()
         world = np.zeros((NUM_JOINTS, 4))
         by_joint = dict(zip(LINK_JOINTS, range(len(LINKS)), strict=True))

@@ -1,14 +1,14 @@
-"""The face that every kinematic system shows: reset, step a frame, or predict a whole sequence.
+"""The interface of all kinematic systems: reset, step one frame, or predict a whole sequence.
 
-What is wrong with a stream is treated alike by all of them:
+All systems handle faults in a stream in the same way:
 
-- refused (``InputError``): an unknown device, a set of devices the system cannot use, a frame of
-  other devices than ``reset`` was told, numbers that are not finite or quaternions that are not of
-  unit length where a device reports, time that does not go forward;
-- bridged: a gap of up to ``MAX_GAP_S`` is filled with interpolated frames; after a longer one the
-  system forgets what was before and goes on. A device that does not report keeps its last pose
-  where the system needs it; DragPoser leaves it out instead;
-- a pose is always finite: where a system's answer is not, the last good one is given again.
+- Refused with ``InputError``: unknown devices, a set of devices that the system cannot use, frames
+  with devices other than those of ``reset``, non-finite values or non-unit quaternions of a device
+  that reports, and time that does not increase.
+- Bridged: gaps of up to ``MAX_GAP_S`` are filled with interpolated frames. After a longer gap the
+  system restarts with the next frame. A device that does not report keeps its last pose if the
+  system needs it; DragPoser leaves it out instead.
+- Poses are always finite: a non-finite estimate is replaced by the last finite one.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from questsim.sensors import DEVICES, SENSOR_SETS
 from questsim.skeleton import NUM_JOINTS
 
 MAX_GAP_S = 0.5
-"""Longer gaps in a stream are not bridged: the system begins anew."""
+"""Longest gap in a stream in s that is bridged; after a longer one the system restarts."""
 UNIT_TOLERANCE = 1e-2
 
 
 @dataclass(frozen=True)
 class UserBody:
-    """What is known of the user's body.
+    """The user's body.
 
     Attributes:
-        offsets: ``(22, 3)`` each joint's position in its parent's frame, as in ``Motion``.
+        offsets: ``(22, 3)`` position of each joint in its parent's frame, as in ``Motion``.
     """
 
     offsets: np.ndarray
@@ -68,7 +68,7 @@ class Poses:
     Attributes:
         root_position: ``(T, 3)`` metres in the world.
         rotations: ``(T, 22, 4)`` unit quaternions wxyz, as in ``Motion``.
-        offsets: ``(T, 22, 3)`` the body they are of: as measured, or as the system estimates it.
+        offsets: ``(T, 22, 3)`` of the body, as measured or as estimated by the system.
     """
 
     root_position: np.ndarray
@@ -79,7 +79,7 @@ class Poses:
         return len(self.root_position)
 
     def finite(self) -> bool:
-        """Whether all numbers are."""
+        """Whether all values are finite."""
         arrays = (self.root_position, self.rotations, self.offsets)
         return all(bool(np.isfinite(array).all()) for array in arrays)
 
@@ -89,7 +89,7 @@ class Poses:
 
     @staticmethod
     def joined(parts: Sequence[Poses]) -> Poses:
-        """One after the other."""
+        """Concatenate poses in time."""
         return Poses(
             np.concatenate([p.root_position for p in parts]),
             np.concatenate([p.rotations for p in parts]),
@@ -97,13 +97,13 @@ class Poses:
         )
 
     def to_motion(self, name: str, fps: float = SENSOR_FPS) -> Motion:
-        """A ``Motion``, of the mean of the bodies."""
+        """Convert to a ``Motion`` with the mean body."""
         return Motion(name, fps, self.root_position, self.rotations, self.offsets.mean(axis=0))
 
 
 @dataclass(frozen=True)
 class DeviceSignals:
-    """What a system reads: poses of the joints that carry its devices, by device.
+    """A system's input: for each device, the pose of the joint that carries it.
 
     Attributes:
         position: ``(T, D, 3)`` of the joints; quat: ``(T, D, 4)``.
@@ -124,8 +124,8 @@ class KinematicSystem(ABC):
         name: for messages and tables.
         devices: every device it can read, in the order of its ``DeviceSignals``.
         required: those it cannot do without.
-        scenarios: what it is given in a comparison.
-        future_frames: how many later frames a pose waits for; ``step`` answers that much late.
+        scenarios: its scenarios in a comparison.
+        future_frames: number of later frames that a pose needs; ``step`` is late by this many.
     """
 
     name: str = ""
@@ -134,18 +134,17 @@ class KinematicSystem(ABC):
     future_frames: int = 0
     scenarios: tuple[Scenario, ...] = SIX_TRACKERS
     interpolates_dropouts: bool = True
-    """Whether a silent device keeps its last pose, rather than being left out."""
+    """Whether a device that does not report keeps its last pose; otherwise it is left out."""
 
     _names: tuple[str, ...] | None = None
 
-    # -- what a caller uses ----------------------------------------------------------------
+    # -- for callers -----------------------------------------------------------------------
 
     def usable(self, sensors: str | Sequence[str]) -> tuple[str, ...]:
         """The devices of a set that this system can use.
 
         Raises:
-            InputError: unknown devices, or the set lacks what the system needs or has what it
-                cannot read.
+            InputError: unknown devices, a needed device is missing, or the system cannot read one.
         """
         names = device_names(sensors)
         missing = [name for name in self.required if name not in names]
@@ -156,17 +155,17 @@ class KinematicSystem(ABC):
         return names
 
     def describe(self) -> str:
-        """The sensors in words, for messages and the list of agents."""
+        """Describe the sensors in words, for messages and the list of agents."""
         optional = [name for name in self.devices if name not in self.required]
         text = ", ".join(self.required)
         return text + (f" and, if there, {', '.join(optional)}" if optional else "")
 
     def reset(self, body: UserBody, sensors: str | Sequence[str]) -> None:
-        """Begin a stream.
+        """Start a stream.
 
         Args:
-            body: the user's, as measured or calibrated.
-            sensors: a set of ``questsim.sensors``, or devices in the order frames will have.
+            body: the user's body, as measured or calibrated.
+            sensors: a set of ``questsim.sensors``, or devices in the order of the frames.
 
         Raises:
             InputError: see ``usable``.
@@ -179,13 +178,13 @@ class KinematicSystem(ABC):
         self._begin(body)
 
     def step(self, frame: SensorFrame) -> Poses:
-        """The pose (``T`` = 1) after one more frame, in constant time and memory.
+        """The pose (``T`` = 1) after the next frame, in constant time and memory.
 
-        With ``future_frames`` it is the pose of that many frames ago; before there are so many,
-        that of the first frame.
+        With ``future_frames`` it is the pose that many frames ago; at the start of a stream, the
+        pose of the first frame.
 
         Raises:
-            InputError: a frame that is refused; the stream can go on with the next one.
+            InputError: the frame is refused; the stream can continue with the next one.
         """
         frame = self._accepted(frame)
         for missed in self._bridged(frame):
@@ -195,12 +194,12 @@ class KinematicSystem(ABC):
         return pose
 
     def predict(self, sequence: SensorSequence, body: UserBody) -> Poses:
-        """Poses of all frames of a sequence; the same ones as ``step`` gives one by one.
+        """Poses of all frames of a sequence, the same as ``step`` gives frame by frame.
 
-        With ``future_frames`` the last frames are held, so that every frame gets its pose.
+        With ``future_frames`` the last frame is repeated, so that every frame gets a pose.
 
         Raises:
-            InputError: as ``reset`` and ``step``.
+            InputError: see ``reset`` and ``step``.
         """
         self.reset(body, sequence.names)
         if not len(sequence):
@@ -211,23 +210,23 @@ class KinematicSystem(ABC):
             poses.append(self.step(replace(last, time_s=last.time_s + extra / SENSOR_FPS)))
         return Poses.joined(poses[self.future_frames :])
 
-    # -- what a system supplies ------------------------------------------------------------
+    # -- for subclasses --------------------------------------------------------------------
 
     @abstractmethod
     def _begin(self, body: UserBody) -> None:
-        """Forget everything; a stream of this body begins."""
+        """Reset all state and start a stream for this body."""
 
     @abstractmethod
     def _next(self, signals: DeviceSignals) -> Poses:
-        """The pose after one more frame (``T`` = 1)."""
+        """The pose after the next frame (``T`` = 1)."""
 
     # -- checks ----------------------------------------------------------------------------
 
     def _accepted(self, frame: SensorFrame) -> SensorFrame:
-        """The frame, quaternions of exactly unit length, silent devices filled in.
+        """The checked frame with exact unit quaternions; devices that do not report are filled in.
 
         Raises:
-            InputError: see the module's text.
+            InputError: see the module's docstring.
         """
         if self._names is None:
             raise InputError("reset comes before step", self.name)
@@ -256,7 +255,7 @@ class KinematicSystem(ABC):
         )
 
     def _bridged(self, frame: SensorFrame) -> list[SensorFrame]:
-        """The frames that are missing before ``frame``; a long gap makes the system forget."""
+        """Interpolated frames for the gap before ``frame``; a long gap restarts the system."""
         last = self._last
         if last is None:
             return []
@@ -281,7 +280,7 @@ class KinematicSystem(ABC):
         return pose
 
     def _rest(self, signals: DeviceSignals) -> Poses:
-        """Standing straight where the first device is: there is nothing better to say."""
+        """Fallback pose: standing straight at the first device."""
         rotations = np.zeros((1, NUM_JOINTS, 4))
         rotations[..., 0] = 1.0
         root = np.where(np.isfinite(signals.position[:, 0]), signals.position[:, 0], 0.0)
@@ -289,7 +288,7 @@ class KinematicSystem(ABC):
 
 
 def device_names(sensors: str | Sequence[str]) -> tuple[str, ...]:
-    """The devices of a named set, or those listed.
+    """The devices of a named set or of a list.
 
     Raises:
         InputError: no such set or device.
@@ -309,10 +308,10 @@ def device_names(sensors: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def check_frame(frame: SensorFrame, names: tuple[str, ...], where: str) -> None:
-    """Refuse a frame of other devices, or with numbers that are none.
+    """Refuse frames with unexpected devices or non-finite values.
 
     Raises:
-        InputError: naming the device.
+        InputError: names the device.
     """
     if tuple(frame.names) != names:
         raise InputError(
@@ -338,7 +337,7 @@ def check_frame(frame: SensorFrame, names: tuple[str, ...], where: str) -> None:
 
 
 def between(a: SensorFrame, b: SensorFrame, share: float) -> SensorFrame:
-    """A frame between two: positions on a line, rotations by normalised interpolation."""
+    """Interpolate two frames: positions linearly, rotations by normalised interpolation."""
     sign = np.where((a.quat * b.quat).sum(-1, keepdims=True) < 0, -1.0, 1.0)
     quat = (1 - share) * a.quat + share * sign * b.quat
     return replace(

@@ -1,4 +1,4 @@
-"""What all trainings of kinematic systems are told, and what a stage of one has to supply."""
+"""Settings of the training of kinematic systems, and the interface of its stages."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from questsim.errors import InputError
 
 @dataclass(frozen=True)
 class Learning:
-    """How one stage learns.
+    """Settings of one stage.
 
     Attributes:
-        share: of the whole time budget.
+        share: share of the whole time budget.
         optimiser: ``adam`` or ``adamw``.
-        learning_rate: at first; see ``rate_at``.
-        schedule: how it falls: ``cosine``, ``step`` or ``plateau``.
-        final_rate: share of it at a cosine's end, or that a step or plateau brings it down to.
-        warm_up: gradient steps over which it first rises from nothing.
-        batch: windows, or single poses, a gradient step.
-        window: frames of a window.
-        clip: largest norm of the gradient; None for any.
-        bfloat16: whether the networks' products while training are of that precision: about twice
-            as fast on processors that know it.
+        learning_rate: initial learning rate; see ``rate_at``.
+        schedule: ``cosine``, ``step`` or ``plateau``.
+        final_rate: factor on the rate at the end of a cosine, or at each step or plateau.
+        warm_up: gradient steps over which the rate first rises from 0.
+        batch: windows, or single poses, per gradient step.
+        window: frames per window.
+        clip: largest norm of the gradient; None for no limit.
+        bfloat16: whether training uses bfloat16 products: about twice as fast on processors with
+            native support.
         evaluate_every: gradient steps between evaluations.
-        steps: gradient steps after which the stage ends even if there is time.
-        weights: of terms of the loss that can be weighed: ``continuity`` of DragPoser's ``vae``,
-            ``keep`` of SparsePoser's ``ik``; without an entry, the published one.
+        steps: largest number of gradient steps of the stage.
+        weights: weights of loss terms by name: ``continuity`` in DragPoser's ``vae``, ``keep`` in
+            SparsePoser's ``ik``; by default the published ones.
     """
 
     share: float = 1.0
@@ -54,21 +54,22 @@ class Learning:
 STEP_AT = 0.75
 """HMD-Poser's rate falls after 300 of 400 epochs."""
 PATIENCE, GAIN = 5, 1e-4
-"""Evaluations without an error lower by this share until LGSIK-Poser's rate falls."""
+"""LGSIK-Poser's rate falls after more than ``PATIENCE`` evaluations whose error is not lower by the
+share ``GAIN``."""
 
 
 def rate_at(learning: Learning, progress: float, steps: int, errors: Sequence[float]) -> float:
     """The learning rate of a gradient step.
 
-    ``cosine`` falls over the whole budget; ``step`` falls at three quarters of it (HMD-Poser);
-    ``plateau`` falls, again and again, each time that six evaluations in a row are no better than
-    the best before (LGSIK-Poser: PyTorch's ReduceLROnPlateau with a patience of 5).
+    ``cosine`` falls over the whole budget. ``step`` falls once, at three quarters of it
+    (HMD-Poser). ``plateau`` falls each time that six evaluations in a row are no better than the
+    best one before (LGSIK-Poser: PyTorch's ReduceLROnPlateau with a patience of 5).
 
     Args:
-        learning: says which.
-        progress: share of the budget that is used.
-        steps: gradient steps made.
-        errors: of all evaluations so far.
+        learning: settings with the schedule.
+        progress: used share of the budget.
+        steps: gradient steps so far.
+        errors: errors of all evaluations so far.
 
     Raises:
         InputError: there is no such schedule.
@@ -89,7 +90,7 @@ def rate_at(learning: Learning, progress: float, steps: int, errors: Sequence[fl
 
 
 def _plateaus(errors: Sequence[float]) -> int:
-    """How often errors have stood still for more than ``PATIENCE`` evaluations."""
+    """How often errors did not improve for more than ``PATIENCE`` evaluations."""
     best, waited, found = math.inf, 0, 0
     for error in errors:
         better = error < best * (1.0 - GAIN)
@@ -121,10 +122,10 @@ class Task:
     """One stage of a training.
 
     Attributes:
-        trained: the parameters it changes.
-        draw: a batch, all random numbers from the generator given.
-        loss: of a batch, and figures to write down.
-        validate: figures of the fixed set; ``error_cm`` is what checkpoints are compared by.
+        trained: the parameters that it trains.
+        draw: draws a batch with the given random generator.
+        loss: loss of a batch, and figures to log.
+        validate: figures on the fixed set; ``error_cm`` selects the best checkpoint.
     """
 
     trained: Sequence[nn.Parameter]
@@ -134,4 +135,4 @@ class Task:
 
 
 TaskMaker = Callable[[nn.Module, str, Learning, MotionBank, int], Task]
-"""Network, name of the stage, how it learns, motions, number of fixed windows."""
+"""Makes a task from network, stage name, settings, motions and number of fixed windows."""

@@ -9,28 +9,27 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class TrainSystemArgs:
-    """Train a kinematic system, which estimates the whole pose from devices."""
+    """Train a kinematic system, which estimates the full-body pose from devices."""
 
     out: Path
     """Folder of the run: record, checkpoints, TensorBoard logs."""
     agent: str
     """The system's family (docs/agents.md)."""
     motions: str = "synthetic"
-    """What to learn: synthetic, a dataset (bandai-namco-2:train), a library, file or folder."""
+    """Motions to learn: synthetic, a dataset (bandai-namco-2:train), a library, file or folder."""
     preset: Literal["cpu", "paper", "smoke"] = "cpu"
-    """What learns on two cores, what was published, or a test of two minutes."""
+    """cpu: learns on two cores; paper: as published; smoke: a test of two minutes."""
     minutes: float | None = None
-    """Time for everything, earlier parts of a resumed run included; by default the preset's."""
+    """Total time budget, including earlier parts of a resumed run; by default the preset's."""
     steps: int | None = None
     """Gradient steps of each stage, instead of the preset's limit."""
     resume: bool = False
-    """Go on with the run in --out."""
+    """Resume the run in --out."""
     start: Path | None = None
-    """A system of that family and these sizes, by folder or shipped name, that is trained
-    further."""
+    """A system to train further, by folder or shipped name; its family and sizes must match."""
     threads: int = 2
-    """Threads of the networks."""
+    """Threads for the networks."""
     seed: int = 0
-    """Of everything that is random."""
+    """Seed of all random numbers."""
     set: tuple[str, ...] = ()
-    """Values of the preset to change, e.g. stages.network.batch=16."""
+    """Change values of the preset, e.g. stages.network.batch=16."""

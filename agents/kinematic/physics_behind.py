@@ -1,12 +1,12 @@
-"""Physics behind a kinematic system: the avatar follows its poses by a tracker's torques.
+"""Kinematic system with physics: a tracker's torques make the avatar follow its poses.
 
-The poses are retargeted to the avatar of the user's stature and are what the shipped
-``estimate-tracker`` is shown as the reference; it has learnt to do what the user does all the same
-(``train.py --estimates``). The avatar begins in the user's first state, as in every episode, and
-what it does is compared with what the user did. The tracker reads five frames ahead, and
-velocities there take one more: the avatar shows the pose of ``LATENCY_FRAMES`` ago, as QuestSim
-does that reads as many frames of the devices. Nothing later than that is used but two constants of
-each clip, the heights of the floor and of the ankle, which a calibration would tell.
+The poses are retargeted to the avatar of the user's stature. The shipped ``estimate-tracker``
+observes them as its reference; it was trained to follow the true motion in spite of estimation
+errors (``train.py --estimates``). The avatar starts in the user's first state, as in every episode,
+and its motion is compared with the user's. The tracker reads five frames ahead and velocities need
+one more, so the avatar shows the pose of ``LATENCY_FRAMES`` ago, like QuestSim with as many future
+frames. No later data is used except two constants of each clip, the heights of the floor and of the
+ankle, which a calibration would measure.
 """
 
 from __future__ import annotations
@@ -34,20 +34,18 @@ from questsim.root_force import root_force
 
 LATENCY_FRAMES = 6
 BEGINNING_FRAMES = 6
-"""From the user's first state to the estimates: as far as the tracker looks ahead, 167 ms.
-
-With it 48 clips of HMD-Poser are followed with an MPJPE of 3.18 instead of 3.32 cm.
-"""
+"""Length of the blend from the user's first state to the estimates: the tracker's future window,
+167 ms. On 48 clips of HMD-Poser it lowers the MPJPE from 3.32 to 3.18 cm."""
 _FEWEST = 4
-"""Frames that jitter and accelerations take."""
+"""Number of frames needed to compute jitter and accelerations."""
 
 
 def on_own_body(poses: Poses, motion: Motion) -> Motion:
-    """Estimated poses on the user's measured bones, the head where the system has it.
+    """Estimated poses on the user's measured bones, with the head at its estimated position.
 
     Args:
-        poses: of all frames of ``motion``, perhaps of an estimated body.
-        motion: says whose bones, and what the poses are called.
+        poses: of all frames of ``motion``; their body may be estimated.
+        motion: provides the bones and the name.
     """
     there, _ = poses.forward_kinematics()
     origin = np.zeros_like(poses.root_position)
@@ -57,7 +55,7 @@ def on_own_body(poses: Poses, motion: Motion) -> Motion:
 
 
 def reference_of(poses: Poses, motion: Motion) -> Clip:
-    """What the tracker is asked to follow: the poses on the avatar, at its frame rate.
+    """The tracker's reference: the poses on the avatar, at its frame rate.
 
     Raises:
         InputError: the stature is outside the range of bodies.
@@ -71,13 +69,13 @@ def follow_poses(
     threads: int = 1,
     assist: AssistUse | None = None,
 ) -> list[Rollout]:
-    """Let the avatar follow what a system made of motions, and hold it against those.
+    """Let the avatar follow a system's estimates, and compare its motion with the true motions.
 
     Args:
-        references: one ``reference_of`` a motion.
-        motions: what the users did.
-        threads: of the physics.
-        assist: may help the avatar; None for honest physics.
+        references: one result of ``reference_of`` per motion.
+        motions: the users' true motions.
+        threads: physics threads.
+        assist: applies an assisting force; None for physics without one.
     """
     tracker, truths = load_agent(TRACKER), [to_clip(motion) for motion in motions]
     shown = [begun_as(clip, truth) for clip, truth in zip(references, truths, strict=True)]
@@ -85,16 +83,15 @@ def follow_poses(
 
 
 def begun_as(estimate: Clip, truth: Clip) -> Clip:
-    """An estimate that begins in the user's own state, as an episode does for every agent.
+    """An estimate that starts in the user's first state, like the episodes of every agent.
 
-    What a system makes of its first frames, without a past, is off and moves fast towards what it
-    makes of the next ones, which leads the avatar astray. So what is shown goes over, within
-    ``BEGINNING_FRAMES``, from the user's first pose, carried on at its velocity, to the estimate.
-    Of the user nothing but that first state is used.
+    A system's first estimates, made without past frames, are inaccurate and change quickly, which
+    misleads the tracker. Over ``BEGINNING_FRAMES`` the result therefore blends from the user's
+    first pose, extrapolated at its velocity, to the estimate. Only the user's first state is used.
 
     Args:
-        estimate: to be followed.
-        truth: what the user did.
+        estimate: the estimate to follow.
+        truth: the user's motion.
     """
     count = min(BEGINNING_FRAMES, len(estimate))
     model = build_body(estimate.height_m).model
@@ -112,7 +109,7 @@ def begun_as(estimate: Clip, truth: Clip) -> Clip:
 
 
 def performed(rollout: Rollout) -> Clip:
-    """What the avatar did, until it was lost."""
+    """The avatar's motion until it was lost."""
     return clip_from_qpos(rollout.name, rollout.qpos[: rollout.scored_frames], rollout.height_m)
 
 
@@ -120,9 +117,9 @@ def avatar_samples(clip: Clip, truth: Clip, ends: Sequence[int] = ENDS) -> dict[
     """``pose_samples`` of two clips of the avatar on its 22 joints, and the force on the root.
 
     Args:
-        clip: what is measured.
-        truth: what the user did, at least as long.
-        ends: as ``pose_samples`` has them.
+        clip: the motion to score.
+        truth: the user's motion, at least as long.
+        ends: see ``pose_samples``.
     """
     if len(clip) < _FEWEST:
         return {}
@@ -134,6 +131,6 @@ def avatar_samples(clip: Clip, truth: Clip, ends: Sequence[int] = ENDS) -> dict[
 
 
 def rollout_samples(rollout: Rollout, ends: Sequence[int] = ENDS) -> dict[str, np.ndarray]:
-    """``avatar_samples`` of a rollout until it was lost, and whether it never was, in percent."""
+    """``avatar_samples`` of a rollout until it was lost, and its success in percent."""
     success = {"success_percent": np.array([100.0 * rollout.completed])}
     return avatar_samples(performed(rollout), rollout.reference, ends) | success

@@ -1,4 +1,4 @@
-"""Every kinematic system that is trained: the entries of its families, and of other packages."""
+"""Registry of the trained kinematic systems: entries of the built-in and external families."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ AGENTS: dict[str, Entry] = {
     "sparseposer": SPARSEPOSER,
     "dragposer": DRAGPOSER,
 }
-"""By the name that command lines and checkpoints use, in the order of tables."""
+"""Entries by the name used in command lines and checkpoints, in the order of tables."""
 _OWN = tuple(AGENTS)
 
 
 def register_system(name: str, entry: Entry) -> None:
-    """Add a family, e.g. from a module that ``QUESTSIM_EXTENSIONS`` names.
+    """Register a family, e.g. from a module named in ``QUESTSIM_EXTENSIONS``.
 
     Args:
-        name: for command lines and checkpoints.
-        entry: what it is; see ``agents.kinematic.entry``.
+        name: name in command lines and checkpoints.
+        entry: see ``agents.kinematic.entry``.
 
     Raises:
         InputError: the name is taken.

@@ -1,4 +1,4 @@
-"""What a kinematic system is given in a comparison, and its variants in ablations."""
+"""Scenarios of kinematic systems in a comparison, and variants in ablations."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from questsim.sensors import SENSOR_SETS
 from questsim.skeleton import JOINTS
 
 PAPER_NAMES = {"H+2C": "HMD", "H+2C+2IMU": "HMD+2IMU", "H+2C+3IMU": "HMD+3IMU"}
-"""Names of sets of sensors in HMD-Poser's and LGSIK-Poser's papers."""
+"""Names of the sensor sets in HMD-Poser's and LGSIK-Poser's papers."""
 WINDOW = 40
 """Frames of the online protocol's sliding window (LGSIK-Poser)."""
 _END_OF = {
@@ -23,14 +23,14 @@ _END_OF = {
 
 @dataclass(frozen=True)
 class Scenario:
-    """What a system is given.
+    """The input of a system in a comparison.
 
     Attributes:
-        name: for the table.
-        devices: of the sensors.
-        faults: probability a frame that one device falls silent.
-        options: of the system.
-        online: every frame from the last ``WINDOW`` frames alone.
+        name: name in the table.
+        devices: the devices.
+        faults: probability per frame that a device drops out.
+        options: options of the system.
+        online: whether each frame is estimated from only the last ``WINDOW`` frames.
     """
 
     name: str
@@ -41,21 +41,21 @@ class Scenario:
 
     @property
     def plain(self) -> bool:
-        """Whether the system is used as it is made for, by working devices, on a stream."""
+        """Whether it is plain streaming: default options, no faults, not ``online``."""
         return not (self.online or self.options or self.faults)
 
     @property
     def ends(self) -> tuple[int, ...]:
-        """Joints at the body's ends that carry a device, for the error of end effectors."""
+        """End-effector joints that carry a device, for the error of end effectors."""
         return tuple(JOINTS.index(_END_OF[name]) for name in self.devices if name in _END_OF)
 
     def has(self, devices: Sequence[str] | None) -> bool:
-        """Whether it is of just these devices, wherever on the feet; None means any."""
+        """Whether it has exactly these devices, at any place on the feet; None matches all."""
         return devices is None or _on_feet(devices) == _on_feet(self.devices)
 
 
 def _on_feet(devices: Sequence[str]) -> set[str]:
-    """Devices, with trackers on toes and on ankles called alike."""
+    """Devices, with toe and ankle trackers treated as the same."""
     return {device.replace("_toe_", "_foot_") for device in devices}
 
 
@@ -64,7 +64,7 @@ SIX = (
     "pelvis_tracker", "headset", *HANDS, "left_foot_tracker", "right_foot_tracker",
 )  # fmt: skip
 SIX_TRACKERS = (Scenario("6", SENSOR_SETS["6T"]),)
-"""Of a system that says nothing else."""
+"""Default scenarios of a system."""
 
 
 @dataclass(frozen=True)
@@ -72,10 +72,10 @@ class Variant:
     """A system without one of its parts.
 
     Attributes:
-        name: for the table, and of its folder.
-        what: what is left out, and where the ablation is from.
-        set: values of the preset, as of ``--set``.
-        options: of ``load_system``, for a variant that is the full system's weights run otherwise.
+        name: name in the table and of its folder.
+        what: the removed part, and the source of the ablation.
+        set: changed values of the preset, as in ``--set``.
+        options: options of ``load_system``, for a variant that uses the full system's weights.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Layers that know the skeleton: features of joints, masked to neighbours, pooled along bones.
+"""Skeletal layers: joint features masked to neighbouring joints and pooled along bones.
 
 Source: Aberman et al., "Skeleton-Aware Networks for Deep Motion Retargeting", SIGGRAPH 2020, as
 SparsePoser and DragPoser use them.
@@ -26,8 +26,8 @@ class Pooling:
 
     Attributes:
         merged: for each kept joint, itself and the collapsed joints next to it.
-        parents: of the kept joints, by their new numbers.
-        joints: how many there were.
+        parents: parents of the kept joints, in the new numbering.
+        joints: number of joints before.
     """
 
     merged: tuple[tuple[int, ...], ...]
@@ -36,9 +36,9 @@ class Pooling:
 
 
 def pooling(parents: Sequence[int]) -> Pooling:
-    """Collapse every second joint along the chains: of degree above 1, below one that stays.
+    """Collapse every second joint along each chain; the root and the leaves stay.
 
-    The root stays; leaves stay.
+    A collapsed joint has a child, and its parent is kept.
     """
     count = len(parents)
     neighbours: list[set[int]] = [set() for _ in range(count)]
@@ -76,7 +76,7 @@ SIZES: tuple[int, ...] = tuple(len(parents) for parents in PARENTS)
 
 
 def pool_matrix(step: Pooling) -> Tensor:
-    """``(kept, joints)`` means over what is merged."""
+    """Matrix ``(kept, joints)`` of means over merged joints."""
     matrix = torch.zeros(len(step.merged), step.joints)
     for new, olds in enumerate(step.merged):
         matrix[new, list(olds)] = 1.0 / len(olds)
@@ -84,13 +84,13 @@ def pool_matrix(step: Pooling) -> Tensor:
 
 
 def unpool_matrix(step: Pooling, displacement: str = "") -> Tensor:
-    """``(joints, kept)``: each joint takes the mean of the kept joints it was merged into.
+    """Matrix ``(joints, kept)``: each joint gets the mean of the kept joints it was merged into.
 
     Args:
         step: the pooling to undo.
-        displacement: an extra slot at the end for the root's displacement: ``"in"`` has one before
-            that all joints take in; ``"out"`` makes one afterwards from the root; ``"both"`` hands
-            it on.
+        displacement: handling of an extra last slot for the root's displacement: ``"in"``: an
+            input slot that all joints read; ``"out"``: an output slot made from the root;
+            ``"both"``: the slot is passed on.
     """
     matrix = (pool_matrix(step) > 0).float().T
     joints, kept = matrix.shape
@@ -105,11 +105,11 @@ def unpool_matrix(step: Pooling, displacement: str = "") -> Tensor:
 
 
 def neighbour_mask(parents: Sequence[int], displacement: bool = False) -> Tensor:
-    """``(J, J)`` ones where two joints are at most ``REACH`` bones apart.
+    """Mask ``(J, J)``: ones where two joints are at most ``REACH`` bones apart.
 
     Args:
-        parents: of the skeleton.
-        displacement: add a slot at the end that neighbours what the root neighbours.
+        parents: parents in the skeleton.
+        displacement: add a last slot with the same neighbours as the root.
     """
     count = len(parents)
     apart = torch.full((count, count), 99.0)
@@ -133,16 +133,16 @@ class _Masked(DerivedWeights):
     mask: Tensor
 
     def masked_weight(self) -> Tensor:
-        """The weight with zeros where the mask has them."""
+        """The weight, multiplied by the mask."""
         return self.derived(lambda: self.weight * self.mask)
 
 
 class MaskedLinear(_Masked):
-    """A linear layer between groups of features, of which only some reach each other.
+    """A linear layer between groups of features with a mask of connected groups.
 
     Args:
         mask: ``(groups out, groups in)`` of zeros and ones.
-        size_in, size_out: features of a group.
+        size_in, size_out: features per group.
     """
 
     def __init__(self, mask: Tensor, size_in: int, size_out: int) -> None:
@@ -159,13 +159,13 @@ class MaskedLinear(_Masked):
 
 
 class MaskedConv(_Masked):
-    """A convolution over time of joints' features, of which only neighbours reach each other.
+    """A convolution over time of joint features with a mask of connected joints.
 
-    Reflects the signal at both ends, so that a stride of 1 keeps its length.
+    The signal is reflected at both ends, so that a stride of 1 keeps its length.
 
     Args:
         mask: ``(joints, joints)`` of zeros and ones.
-        size_in, size_out: channels of a joint.
+        size_in, size_out: channels per joint.
         kernel: frames; odd.
         stride: frames.
     """
@@ -189,11 +189,11 @@ class MaskedConv(_Masked):
 
 
 class PlainMixing(nn.Module):
-    """Instead of pooling or unpooling: every channel out of every channel in, alike in time.
+    """A dense layer in place of pooling or unpooling, the same for every frame.
 
     Args:
-        matrix: ``(joints out, joints in)`` of the pooling it stands for; only its shape counts.
-        channels: of a joint.
+        matrix: ``(joints out, joints in)`` of the replaced pooling; only its shape is used.
+        channels: channels per joint.
     """
 
     def __init__(self, matrix: Tensor, channels: int) -> None:

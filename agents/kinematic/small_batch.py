@@ -1,8 +1,9 @@
-"""Products of weights with a few rows: what a streamed frame consists of.
+"""Products of weight matrices with few rows, as in streaming.
 
-A frame reads every weight once, for one row or a few. PyTorch's products are made for many rows
-and take longer than the weights' way from memory; these loops hardly do. They are for networks that
-only answer: with gradients, and for many rows, PyTorch's own products give the same.
+A streamed frame reads every weight once, for one or a few rows. PyTorch's products are optimised
+for many rows and take longer than reading the weights from memory; these loops take about as long
+as reading. They are used only in inference with few rows. With gradients or many rows, PyTorch's
+products give the same result.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ from questsim.compiled import jit
 
 MOST_ROWS = 8
 _APART = 16
-"""Numbers between rows: a power of two apart, they would drive each other out of the cache."""
+"""Padding between rows: rows at a power-of-two distance would evict each other from the cache."""
 
-# Sums in any order, as matrix products have them; numbers that are not finite stay what they are.
+# Sums may be reordered, as in matrix products; non-finite values are preserved.
 _jit: Any = jit(fastmath={"reassoc", "contract", "nsz"})
 _pytorch_alone = False
 
 
 @contextmanager
 def pytorch_alone() -> Iterator[None]:
-    """Only PyTorch's products, whose operations its counter sees."""
+    """Use only PyTorch's products, which PyTorch's operation counter can count."""
     global _pytorch_alone
     before, _pytorch_alone = _pytorch_alone, True
     try:
@@ -38,7 +39,7 @@ def pytorch_alone() -> Iterator[None]:
 
 
 def is_small_batch(x: Tensor, rows: int) -> bool:
-    """Whether so many rows of ``x`` are multiplied by the loops here."""
+    """Whether the loops of this module are used for ``rows`` rows of ``x``."""
     return (
         rows <= MOST_ROWS
         and not torch.is_grad_enabled()
@@ -71,7 +72,7 @@ def linear(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
 
 
 def group_linear(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-    """Linear layers side by side.
+    """Several linear layers at once.
 
     Args:
         x: ``(groups, rows, K)``.
@@ -91,11 +92,11 @@ def group_linear(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
 def side_by_side(
     layers: Sequence[nn.Linear], columns: Sequence[Sequence[int]]
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Linear layers of any widths as ``group_linear`` takes them, filled up with zeros.
+    """Pad linear layers of different widths with zeros for ``group_linear``.
 
     Args:
-        layers: all of them.
-        columns: which numbers of a common input each reads.
+        layers: the layers.
+        columns: for each layer, the columns of the common input that it reads.
 
     Returns:
         columns ``(groups, K)``, weights ``(groups, N, K)`` and bias ``(groups, N)``.
@@ -121,10 +122,10 @@ class Linear(nn.Linear):
 
 
 class EncoderLayer(nn.TransformerEncoderLayer):
-    """PyTorch's layer (batch first, norms last, ReLU), with the products here where it answers."""
+    """PyTorch's layer (batch first, norms last, ReLU) with this module's products in inference."""
 
     def forward(self, src: Tensor, *args: Any, **options: Any) -> Tensor:
-        """As PyTorch's ``(B, T, size)``; no mask where there are few rows."""
+        """Like PyTorch's, ``(B, T, size)``; masks are not supported with few rows."""
         if self.training or not is_small_batch(src, src.numel() // src.shape[-1]):
             return super().forward(src, *args, **options)
         attention = self.self_attn
@@ -139,7 +140,7 @@ class EncoderLayer(nn.TransformerEncoderLayer):
 
 @_jit
 def _products(x, weight, bias, out):
-    """``out[g] = x[g] weight[g]^T + bias[g]``, of at most ``MOST_ROWS`` rows."""
+    """``out[g] = x[g] weight[g]^T + bias[g]`` for at most ``MOST_ROWS`` rows."""
     groups, rows, width = x.shape
     padded = np.zeros((MOST_ROWS, width + _APART), np.float32)
     for g in range(groups):
@@ -161,7 +162,7 @@ def _one(x, weight, bias, out):
 
 @_jit
 def _eight(x, weight, bias, out):
-    """Of eight rows, as many as ``out`` has are kept: a weight is read once for all of them."""
+    """Compute eight rows, reading each weight once, and store as many as ``out`` has."""
     told = np.empty(MOST_ROWS, np.float32)
     for n in range(weight.shape[0]):
         a = b = c = d = e = f = g = h = np.float32(0.0)

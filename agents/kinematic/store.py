@@ -1,7 +1,7 @@
-"""Kinematic systems on disk: a folder with weights and a description, as policies have one.
+"""Kinematic systems on disk: a folder with weights and a description, like a policy's.
 
-``system.safetensors`` holds networks and normalisers, ``system.yaml`` says of which agent, preset
-and sizes they are; neither can run code when loaded.
+``system.safetensors`` holds networks and normalisers; ``system.yaml`` records agent, preset and
+sizes. Neither can run code when loaded.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ def save_system(
     training: dict[str, Any],
     resume: dict[str, Any] | None = None,
 ) -> None:
-    """Write a checkpoint folder; an older one is replaced only when the new one is whole.
+    """Write a checkpoint folder; an older one is replaced only by a complete new one.
 
     Args:
-        folder: where.
-        module: of the agent.
+        folder: the folder.
+        module: the agent's networks.
         agent: its name in the registry.
         spec: its sizes.
-        training: what to record; ``trained`` lists the stages that are done or under way.
-        resume: state for going on.
+        training: training record; ``trained`` lists the stages that are finished or in progress.
+        resume: state for resuming.
     """
     card = {
         "format": FORMAT,
@@ -76,7 +76,7 @@ def read_system_card(folder: Path) -> dict[str, Any]:
     """The checked ``system.yaml`` of a folder.
 
     Raises:
-        InputError: it is missing, no YAML, of another format version, of an unknown agent, or
+        InputError: it is missing, not YAML, of another format version, of an unknown agent, or
             made for other joints or another frame rate.
     """
     path = folder / CARD_FILE
@@ -99,7 +99,7 @@ def load_module(folder: Path) -> tuple[nn.Module, dict[str, Any]]:
     """Networks of a checkpoint folder, and its card.
 
     Raises:
-        InputError: see ``read_system_card``; or weights that are damaged or do not fit.
+        InputError: see ``read_system_card``; or the weights are damaged or do not fit.
     """
     card = read_system_card(folder)
     entry = AGENTS[card["agent"]]
@@ -128,10 +128,10 @@ def _spec(entry: Entry, card: dict[str, Any], folder: Path) -> Any:
 
 
 def find_system(path_or_name: str | Path) -> Path:
-    """The checkpoint folder of the kinematic system that a path, stage, run or name means.
+    """The checkpoint folder of a kinematic system given by path, stage, run or name.
 
     Raises:
-        InputError: there is none, or it has no checkpoint.
+        InputError: no such system, or it has no checkpoint.
     """
     folder = resolve_system(path_or_name).folder
     if folder is None:
@@ -143,12 +143,12 @@ def load_system(path_or_name: str | Path, **options: Any) -> KinematicSystem:
     """A kinematic system by name, checkpoint or run folder, or ``package.module:Class``.
 
     Args:
-        path_or_name: what to load.
-        **options: of the system, e.g. ``future_frames`` of SparsePoser, ``iterations`` of
+        path_or_name: the system to load.
+        **options: options of the system, e.g. ``future_frames`` of SparsePoser, ``iterations`` of
             DragPoser.
 
     Raises:
-        InputError: there is none, or its checkpoint cannot be used.
+        InputError: no such system, or its checkpoint cannot be used.
     """
     found = resolve_system(path_or_name)
     if found.name == IK:

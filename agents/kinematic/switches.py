@@ -1,11 +1,11 @@
-"""Fields of a spec that switch off a part of a system; ``ablations`` has a table of them."""
+"""Fields of a spec that switch off a part of a system, for ablations."""
 
 from __future__ import annotations
 
 from dataclasses import fields
 
 SWITCH = {"switch": True}
-"""Metadata of such a field. It came after the first checkpoints: those have its default."""
+"""Metadata of such a field. Checkpoints from before the field have its default."""
 
 
 def switches(spec: type) -> set[str]:

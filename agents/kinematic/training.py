@@ -45,7 +45,7 @@ def train_system(args: TrainSystemArgs) -> int:
     """Run a training of ``args.agent``; returns the exit code.
 
     Raises:
-        InputError: for options, motions or a run folder that cannot be used.
+        InputError: options, motions or a run folder cannot be used.
     """
     from questsim.motion.spec import load_recordings
 
@@ -73,7 +73,7 @@ def train_system(args: TrainSystemArgs) -> int:
     stopper, banks, begun = Stopper(), {}, []
 
     def begin() -> None:
-        # Not earlier: what a stage refuses leaves no run behind.
+        # Written only now: input that a stage refuses must not leave a run behind.
         if not (args.out / RECORD).exists():
             start_run(args.out, args, config, data, behind)
         elif not begun:
@@ -95,15 +95,15 @@ def train_system(args: TrainSystemArgs) -> int:
 
 
 def begin_with(module: nn.Module, start: Path, agent: str) -> None:
-    """Give a module the weights and normalisers of a trained system.
+    """Load the weights and normalisers of a trained system into a module.
 
     Args:
-        module: of the agent.
+        module: the agent's networks.
         start: a checkpoint, stage or run folder, or a shipped name.
         agent: its name in the registry.
 
     Raises:
-        InputError: there is no such system, or it is of another agent or other sizes.
+        InputError: there is no such system, or its agent or sizes differ.
     """
     found, card = load_module(find_system(start))
     if card["agent"] != agent:
@@ -117,11 +117,11 @@ def begin_with(module: nn.Module, start: Path, agent: str) -> None:
 
 
 def shipped_start(start: Path | None) -> dict[str, Any]:
-    """How the shipped system that ``--start`` names was trained, for the run's record."""
+    """Training record of the shipped system named by ``--start``, for the run's record."""
     if start is None:
         return {}
     training = read_system_card(find_system(start)).get("training") or {}
-    # A run's own folder tells by itself.
+    # A run folder has its own record.
     return {"start": training} if "stages" in training else {}
 
 
@@ -134,13 +134,13 @@ def _fit(
     banks: dict[int, MotionBank],
     data: dict[str, Any],
 ) -> Fit:
-    """One stage, resumed where ``args`` ask for it and there is something."""
+    """One stage, resumed if ``args`` request it and a checkpoint exists."""
     learning = config.stages[name]
     if learning.window not in banks:
         banks.clear()
         banks[learning.window] = MotionBank(motions, learning.window)
     stages = list(config.stages)
-    # Each stage has its own stream of random numbers, whether or not the one before was resumed.
+    # Each stage has its own random stream, whether or not the stage before was resumed.
     seed = args.seed + 1000 * stages.index(name)
     torch.manual_seed(seed)
     entry = AGENTS[args.agent]

@@ -1,4 +1,4 @@
-"""What a kinematic system estimates, on the avatar and without physics."""
+"""Estimates of a kinematic system on the avatar, without physics."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from questsim.skeleton import FOOT_LINKS
 
 
 def over_users_floor(poses: Poses, motion: Motion) -> Clip:
-    """Poses on the avatar over the floor that the user stands on, which the user's motion tells.
+    """Poses on the avatar above the floor of the user's motion.
 
-    Retargeting puts the floor where a motion's soles are, so an estimate that floats would stand.
+    Retargeting would put the floor at the estimate's own soles and hide that it floats.
     """
     estimate = on_own_body(poses, motion)
     return to_clip(estimate, measure_footing(motion, round(stature(estimate), 3)))
 
 
 def pose_rollout(poses: Poses, motion: Motion, seconds: float = 0.0) -> Rollout:
-    """Estimated poses on the avatar as a rollout: nothing bears, and nothing falls.
+    """Estimated poses on the avatar as a rollout, without contact forces and falls.
 
     Args:
         poses: of all frames of ``motion``.
-        motion: what the user did.
-        seconds: that the estimate took.
+        motion: the user's motion.
+        seconds: computing time of the estimate.
     """
     truth, clip = to_clip(motion), over_users_floor(poses, motion)
     frames = min(len(truth), len(clip))

@@ -1,14 +1,15 @@
-"""Balance as a term of the torque head: the centre of mass, pushed back through standing legs.
+"""Balance term of the torque head: standing legs push the centre of mass back.
 
-The floor should push the body with M a, where
+The desired force of the floor on the body is M a with
 
     a = bounded(kp (c_ref - c) + kd (v_ref - v)),
 
-c and v place and velocity of the whole body's centre of mass. Each foot takes its share of that by
-its share of the vertical contact force, and the six hinges of its leg give tau = -J^T F_share. J is
-the Jacobian of the point c carried along by that foot, so that no moment about c is left. (The
-Jacobian transpose is virtual model control, Pratt et al. 2001.) All of it is a smooth function of
-the observation: the centre of mass is linear in places and orientations of the links.
+where c and v are position and velocity of the whole body's centre of mass. The force is split
+between the feet in proportion to their vertical contact forces. The six hinges of each leg produce
+tau = -J^T F_share. J is the Jacobian of the point c moving rigidly with that foot, so that no
+moment about c remains. (The Jacobian transpose is virtual model control, Pratt et al. 2001.) The
+term is a smooth function of the observation: the centre of mass is linear in positions and
+orientations of the links.
 """
 
 from __future__ import annotations
@@ -22,24 +23,25 @@ from questsim.body import DEFAULT_HEIGHT_M, POLICY_TIMESTEP_S, build_body
 from questsim.skeleton import DOFS, FOOT_LINKS, LINKS, NUM_DOFS, NUM_LINKS
 
 LEG_DOFS = 12
-"""The legs' hinges are the first of ``DOFS``."""
+"""Number of leg hinges, which are the first of ``DOFS``."""
 PUSHES = 3
 """An acceleration: forwards, left and up."""
 SIZE = PUSHES * (LEG_DOFS + 2)
-"""Numbers of the terms of one observation: basis, error of place and error of velocity."""
+"""Size of the terms of one observation: basis, position error and velocity error."""
 
 LEAST_KP, LEAST_KD, LEAST_LIMIT = 10.0, 3.0, 0.75
-"""Trained values stay above these (1/s^2, 1/s, m/s^2): narrow data does not unlearn balance."""
+"""Lower bounds of the trained values (1/s^2, 1/s, m/s^2), so that training on narrow data keeps
+balance."""
 FIRST_KP, FIRST_KD, FIRST_LIMIT = 20.0, 5.0, 1.25
-"""Where training begins. The acceleration is bounded since soles are short: g / h times 10 cm from
-ankle to centre of pressure is 1 m/s^2, and a torque that asks for more rolls the foot over."""
+"""Start values. The acceleration is bounded because soles are short: g / h times 10 cm from ankle
+to centre of pressure is 1 m/s^2; a torque for more rolls the foot over."""
 VERTICAL = 0.5
-"""Share of the gains that acts vertically."""
+"""Vertical gains, as a share of the others."""
 FLIGHT = 0.05
-"""Feet that carry less than this share of the weight carry little of the correction."""
+"""Feet that carry less than this share of the weight apply little of the correction."""
 
 FOOT_AHEAD_M = 0.04
-"""A standing person's centre of mass is this far in front of the ankles (1.75 m)."""
+"""Distance in m of a standing person's centre of mass in front of the ankles (stature 1.75 m)."""
 
 _HIP, _KNEE, _ANKLE = 3, 1, 2
 _SIDES = ("left", "right")
@@ -51,14 +53,14 @@ assert DOFS[:LEG_DOFS] == tuple(
 
 
 class Balance(nn.Module):
-    """Torques of the legs that bring the centre of mass to where it should be.
+    """Leg torques that move the centre of mass to its target.
 
     Args:
         layout: the observation's blocks.
-        reference: whether the centre of mass should be the reference's, as the observation's
-            ``tracking_errors`` have it; else it should be midway between the feet, and move
-            with them. That is where it is on average in stance and gait alike; what is missing of
-            the reference's is then for the network to add.
+        reference: whether the target is the reference's centre of mass, from the observation's
+            ``tracking_errors``. Otherwise the target is midway between the feet and moves with
+            them: the average position in both stance and gait. The network then adds the
+            difference to the reference.
     """
 
     columns: Tensor
@@ -83,7 +85,7 @@ class Balance(nn.Module):
 
         buffer("mass_share", mass / mass.sum())
         buffer("centre", model.body_ipos[1 : 1 + NUM_LINKS])
-        # Masses and torque limits grow alike with height, so their ratio is any body's.
+        # Masses and torque limits scale alike with height: their ratio is the same for all bodies.
         buffer("strength", mass.sum() / limits)
         buffer("least_kp", LEAST_KP * vertical)
         buffer("least_kd", LEAST_KD * vertical)
@@ -96,16 +98,16 @@ class Balance(nn.Module):
         self.use_layout(layout)
 
     def use_layout(self, layout: Layout) -> None:
-        """Find what it reads in the observation."""
+        """Find the columns of its inputs in the observation."""
         self.columns = torch.as_tensor(layout.columns(("o_sim", "o_scale")))
         if self.reference:
             self.errors = torch.as_tensor(layout.columns(("tracking_errors",)))
 
     def terms(self, obs: Tensor) -> Tensor:
-        """Of observations ``(n, D)`` what the torques are linear in: ``(n, SIZE)``.
+        """Terms ``(n, SIZE)`` of observations ``(n, D)``, in which the torques are linear.
 
-        These are actions of the 12 hinges by an acceleration in S, ``(12, 3)``, and the errors of
-        place and of velocity of the centre of mass, three numbers each.
+        They are the actions of the 12 hinges per unit acceleration in S, ``(12, 3)``, and position
+        and velocity errors of the centre of mass, three numbers each.
         """
         state = _State(obs.index_select(1, self.columns))
         offset = self.centre * state.ratio[:, None]
@@ -118,16 +120,16 @@ class Balance(nn.Module):
         else:
             errors = obs.index_select(1, self.errors).unflatten(1, (NUM_LINKS, 4, 3))
             place, speed = self._from_reference(state, errors, offset, arm)
-            # The torque acts until the next frame: the reference is midway to it.
+            # The torque acts until the next frame, so the reference is taken midway.
             place = place + (0.5 * POLICY_TIMESTEP_S) * (speed + velocity)
         return torch.cat([basis.flatten(1), place, speed], dim=1)
 
     def forward(self, terms: Tensor, push: Tensor | None = None) -> Tensor:
-        """The part of the action ``(n, 33)`` for rows of ``terms``.
+        """The balance part of the action ``(n, 33)`` for rows of ``terms``.
 
         Args:
             terms: ``(n, SIZE)``.
-            push: ``(n, 3)`` m/s^2 of acceleration beside it, in S.
+            push: ``(n, 3)`` additional acceleration in m/s^2, in S.
         """
         basis = terms[:, : LEG_DOFS * PUSHES].unflatten(1, (LEG_DOFS, PUSHES))
         place, speed = terms[:, LEG_DOFS * PUSHES :].split(PUSHES, dim=1)
@@ -146,13 +148,13 @@ class Balance(nn.Module):
         return self.least_kp + self.log_kp.exp(), self.least_kd + self.log_kd.exp(), limit
 
     def _mean(self, of_links: Tensor) -> Tensor:
-        """Mean over links by mass: ``(n, 3)`` of ``(n, 16, 3)``."""
+        """Mass-weighted mean over links: ``(n, 3)`` of ``(n, 16, 3)``."""
         return (of_links * self.mass_share[:, None]).sum(1)
 
     def _basis(self, state: _State, centre: Tensor) -> Tensor:
         """``(n, 12, 3)`` action of each hinge of the legs for an acceleration."""
         axes, anchors = state.hinges()
-        # -(axis x (c - anchor)) . F: what the hinge has to give so that the floor gives F.
+        # -(axis x (c - anchor)) . F: the hinge torque for which the floor force is F.
         lever = torch.linalg.cross(centre[:, None] - anchors, axes)
         load = state.load / (state.load.sum(1, keepdim=True) + FLIGHT * self.weight_n)
         share = load.repeat_interleave(LEG_DOFS // 2, dim=1)
@@ -161,7 +163,7 @@ class Balance(nn.Module):
     def _from_reference(
         self, state: _State, errors: Tensor, offset: Tensor, arm: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Reference less avatar of the centre's place and velocity, ``(n, 3)`` each."""
+        """Position and velocity of the centre of mass, reference minus avatar, ``(n, 3)`` each."""
         place, turn, velocity, spin = errors.unbind(2)
         # 2 sin(angle / 2) times the axis: a quaternion's vector part is half of it.
         half = 0.5 * turn
@@ -173,10 +175,10 @@ class Balance(nn.Module):
         return self._mean(place + moved), self._mean(speed)
 
     def _from_feet(self, state: _State, centre: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor]:
-        """Midway between the feet less avatar, horizontally, ``(n, 3)`` each."""
+        """The same errors, horizontal, with the midpoint of the feet as target, ``(n, 3)`` each."""
         feet = list(FOOT_LINKS)
         flat = torch.tensor([1.0, 1.0, 0.0])
-        # Ahead of the ankles: where a standing person's weight is over the sole.
+        # In front of the ankles, where a standing person's centre of mass is above the sole.
         ahead = state.first[:, feet] * (FOOT_AHEAD_M * state.ratio[:, None])
         middle = (state.position[:, feet] + ahead).mean(1)
         return flat * (middle - centre), flat * state.velocity[:, feet].mean(1) - velocity
@@ -187,7 +189,7 @@ def _logarithm(value: np.ndarray) -> nn.Parameter:
 
 
 class _State:
-    """What ``o_sim`` and ``o_scale`` say of ``n`` avatars, all in the frame S."""
+    """State of ``n`` avatars from ``o_sim`` and ``o_scale``, all in the frame S."""
 
     def __init__(self, columns: Tensor) -> None:
         angles, _, position, turn, velocity, spin, force, height = columns.split(

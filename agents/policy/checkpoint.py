@@ -1,9 +1,9 @@
-"""Policies on disk: a folder with weights, a description of what they fit, and a resume file.
+"""Policies on disk: a folder with weights, a description and a resume file.
 
-``policy.safetensors`` holds the actor with its normaliser, gains and noise; ``policy.yaml`` says
-for which observation, joints, links and body it is. Neither can run code when loaded.
-``critic.safetensors`` holds what only a further training needs; acting does not read it.
-``resume.pt``, beside the last checkpoint of a training, holds what only going on needs.
+``policy.safetensors`` holds the actor with its normaliser, gains and noise; ``policy.yaml``
+describes the observation, joints, links and body that it fits. Neither can run code when loaded.
+``critic.safetensors`` is used only for further training, not for acting. ``resume.pt``, in the last
+checkpoint of a training, holds the state for resuming.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ def save_policy(
     training: dict[str, Any],
     resume: dict[str, Any] | None = None,
 ) -> None:
-    """Write a checkpoint folder; an older one is replaced only when the new one is whole.
+    """Write a checkpoint folder; an older one is replaced only by a complete new one.
 
     Args:
-        folder: where; its parent is created.
-        policy: its actor is saved, and its critic, if it has one, beside it.
+        folder: the folder; its parent is created.
+        policy: its actor and, if it has one, its critic are saved.
         needs: the environment it acts in.
-        training: what to record: data, licence, steps, figures.
-        resume: state for going on, of tensors, arrays, numbers, text, lists and dictionaries.
+        training: training record: data, licence, steps, figures.
+        resume: state for resuming: tensors, arrays, numbers, text, lists and dictionaries.
     """
     state = {name: tensor.detach().contiguous() for name, tensor in policy.state_dict().items()}
     critic = {name: state.pop(name) for name in list(state) if name.startswith(CRITIC)}
@@ -66,7 +66,7 @@ def save_policy(
 
 
 def describe(policy: TorquePolicy, needs: Needs) -> dict[str, Any]:
-    """What ``policy.yaml`` says of a policy, without its training."""
+    """The contents of ``policy.yaml`` without the training record."""
     spec = asdict(policy.spec)
     del spec["critic_blocks"]
     layout = policy.layout.within(policy.spec.actor_blocks)
@@ -86,8 +86,8 @@ def read_card(folder: Path) -> dict[str, Any]:
     """The checked ``policy.yaml`` of a checkpoint folder.
 
     Raises:
-        InputError: if it is missing, no YAML, of another format version, or made for other
-            joints, links or another frame rate.
+        InputError: it is missing, not YAML, of another format version, or made for other joints,
+            links or another frame rate.
     """
     path = folder / CARD_FILE
     try:
@@ -109,7 +109,7 @@ def read_card(folder: Path) -> dict[str, Any]:
 
 
 def _difference(field: str, found: Any, expected: Any) -> str:
-    """One line about a field that is not what this version of the code needs."""
+    """A message about a field whose value this version of the code cannot use."""
     if isinstance(expected, list):
         found = found if isinstance(found, list) else []
         if len(found) != len(expected):
@@ -123,7 +123,7 @@ def load_policy(folder: Path) -> PolicyAgent:
     """The agent of a checkpoint folder.
 
     Raises:
-        InputError: see ``read_card``; or weights that are damaged or do not fit the description.
+        InputError: see ``read_card``; or the weights are damaged or do not fit the description.
     """
     card = read_card(folder)
     try:
@@ -157,10 +157,10 @@ def load_policy(folder: Path) -> PolicyAgent:
 
 
 def check_sizes(name: str, sizes: tuple[Any, ...]) -> None:
-    """Refuse sizes of networks that cannot be, before anything of them is made.
+    """Refuse invalid network sizes before any network is created.
 
     Raises:
-        ValueError: naming the first.
+        ValueError: names the first invalid size.
     """
     for size in sizes:
         if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= LARGEST:
@@ -168,10 +168,10 @@ def check_sizes(name: str, sizes: tuple[Any, ...]) -> None:
 
 
 def load_critic(folder: Path, policy: TorquePolicy) -> None:
-    """Give ``policy`` the critic that was saved beside a policy.
+    """Load the critic saved with a policy into ``policy``.
 
     Raises:
-        InputError: there is none, or it is damaged or of another shape.
+        InputError: there is no critic, or it is damaged or has another shape.
     """
     path = folder / CRITIC_FILE
     if not path.exists():
@@ -186,10 +186,10 @@ def load_critic(folder: Path, policy: TorquePolicy) -> None:
 
 
 def find_policy(path_or_name: str | Path) -> Path:
-    """The checkpoint folder of the policy that a path, stage or run folder, or name means.
+    """The checkpoint folder of a policy given by path, stage folder, run folder or name.
 
     Raises:
-        InputError: there is none; it lists what there is.
+        InputError: no such policy; the message lists the known ones.
     """
     folder = resolve_policy(path_or_name).folder
     assert folder is not None
@@ -197,20 +197,20 @@ def find_policy(path_or_name: str | Path) -> Path:
 
 
 def find_teacher(path_or_name: str | Path) -> Path:
-    """As ``find_policy``, but of a run its teacher.
+    """Like ``find_policy``, but finds the teacher of a run.
 
     Raises:
-        InputError: see there.
+        InputError: see ``find_policy``.
     """
     teacher = Path(path_or_name) / "teacher"
     return find_policy(teacher if teacher.is_dir() else path_or_name)
 
 
 def write_resume(folder: Path, state: dict[str, Any]) -> None:
-    """Write what only going on needs; see ``load_resume``.
+    """Write the state for resuming; see ``load_resume``.
 
     Raises:
-        OSError: as where the disk is full; torch itself would raise something else.
+        OSError: it cannot be written, e.g. the disk is full (torch itself raises another type).
     """
     memory = io.BytesIO()
     torch.save(pack(state), memory)
@@ -218,22 +218,22 @@ def write_resume(folder: Path, state: dict[str, Any]) -> None:
 
 
 def load_resume(folder: Path) -> dict[str, Any]:
-    """What ``save_policy`` was given as ``resume``.
+    """The state passed to ``save_policy`` as ``resume``.
 
     Raises:
-        InputError: if there is none, or it is damaged.
+        InputError: the file is missing or damaged.
     """
     path = folder / RESUME_FILE
     if not path.exists():
         raise InputError("there is nothing to resume", folder, "leave out --resume")
     try:
         return torch.load(path, weights_only=True)
-    except Exception as error:  # torch raises many kinds for a damaged file
+    except Exception as error:  # torch raises many exception types for a damaged file
         raise InputError("the resume file is damaged", path) from error
 
 
 def pack(value: Any) -> Any:
-    """A state with arrays as tensors, which is what a resume file may hold."""
+    """Convert arrays in a state to tensors, since resume files hold only tensors."""
     if isinstance(value, dict):
         return {key: pack(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -244,7 +244,7 @@ def pack(value: Any) -> Any:
 
 
 def unpack(value: Any) -> Any:
-    """The state that ``pack`` was given, with arrays as arrays."""
+    """The inverse of ``pack``: the state with arrays as arrays."""
     if isinstance(value, dict):
         return {key: unpack(item) for key, item in value.items()}
     if isinstance(value, list):

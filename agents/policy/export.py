@@ -1,4 +1,4 @@
-"""A policy as one ONNX graph: from a simulator's raw state and device poses to torques in N m."""
+"""Export a policy as one ONNX graph, from raw simulator state and device poses to torques (N m)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ NEEDED_PACKAGES = ("onnx", "onnxscript")
 
 @dataclass(frozen=True)
 class ExportArgs:
-    """Write a policy as one graph that other runtimes can run."""
+    """Write a policy as one ONNX graph for other runtimes."""
 
     agent: str
     """A policy: a run or checkpoint folder, or a shipped name."""
@@ -53,7 +53,7 @@ class TorqueController(nn.Module):
 
     Args:
         policy: reads only the sparse blocks, with the columns of ``observation``.
-        observation: makes what it reads.
+        observation: computes the policy's observation.
         body_preset: name of the preset whose torque limits scale with height.
     """
 
@@ -63,7 +63,7 @@ class TorqueController(nn.Module):
         self, policy: TorquePolicy, observation: SparseObservation, body_preset: str
     ) -> None:
         super().__init__()
-        # Not the whole policy: its critic and optimiser have no place in a graph.
+        # Only the parts that acting needs: critic and optimiser stay out of the graph.
         self.actor, self.head, self.observation = policy.actor, policy.head, observation
         limits = build_body(DEFAULT_HEIGHT_M, body_preset).torque_limits
         self.register_buffer("torque_limits", torch.as_tensor(limits, dtype=torch.float32))
@@ -79,11 +79,11 @@ class TorqueController(nn.Module):
 
 
 def export(args: ExportArgs) -> int:
-    """Write the graph that ``args`` asks for; returns the exit code.
+    """Write the graph that ``args`` requests; returns the exit code.
 
     Raises:
-        InputError: for an agent that no graph can hold, a file that cannot be written, or
-            packages that are missing.
+        InputError: the agent cannot be exported, the file cannot be written, or packages are
+            missing.
     """
     agent = load_policy(find_policy(args.agent))
     check_exportable(agent, args.agent)
@@ -96,14 +96,14 @@ def export(args: ExportArgs) -> int:
 
 
 def check_exportable(agent: Agent, where: str | None = None) -> None:
-    """Refuse an agent whose inputs are not a simulator's state and devices.
+    """Refuse an agent whose inputs are not simulator state and device poses.
 
     Args:
-        agent: any.
-        where: what the user called it, for the message; by default its name.
+        agent: any agent.
+        where: the user's name for it, for the message; by default its own name.
 
     Raises:
-        InputError: naming what it is or reads.
+        InputError: names its kind or the input that is not available.
     """
     where = where or agent.name
     if not isinstance(agent, PolicyAgent):
@@ -121,7 +121,7 @@ def controller_of(agent: PolicyAgent) -> TorqueController:
     """The module that an export holds.
 
     Raises:
-        InputError: see ``check_exportable``; or a policy for another observation.
+        InputError: see ``check_exportable``; or the policy was made for another observation.
     """
     check_exportable(agent)
     needs = agent.needs
@@ -134,7 +134,7 @@ def controller_of(agent: PolicyAgent) -> TorqueController:
 
 
 def write_onnx(agent: Agent, out: Path) -> None:
-    """Write an agent's graph; an older file is replaced only once the new one is whole.
+    """Write an agent's graph; an older file is replaced only by a complete new one.
 
     Args:
         agent: a trained policy on sparse observations.
@@ -156,7 +156,7 @@ def write_onnx(agent: Agent, out: Path) -> None:
 
 
 def metadata(agent: PolicyAgent) -> dict[str, str]:
-    """What the file says of itself; lists are joined by commas, in the order of the arrays."""
+    """Metadata of the file; lists are separated by commas, in the order of the arrays."""
     needs = agent.needs
     offsets = EnvConfig(future_frames=needs.future_frames).frame_offsets
     return {
@@ -179,9 +179,9 @@ def metadata(agent: PolicyAgent) -> dict[str, str]:
 
 
 def _graph(controller: TorqueController) -> Any:
-    """The module as an ONNX model, without traces of the machine it was made on."""
+    """The module as an ONNX model, without information about the exporting machine."""
     names = controller.observation.shapes()
-    # Two rows: torch takes an axis of length one for a constant.
+    # Two rows: torch treats an axis of length one as constant.
     example = tuple(torch.zeros(2, *shape) for shape in names.values())
     rows = torch.export.Dim("n")
     with _quiet(), torch.no_grad():
@@ -199,7 +199,7 @@ def _graph(controller: TorqueController) -> Any:
     model = program.model_proto
     graph = model.graph
     for part in (*graph.node, *graph.value_info, *graph.input, *graph.output, *graph.initializer):
-        # The exporter notes source lines with absolute paths.
+        # The exporter stores source lines with absolute paths.
         del part.metadata_props[:]
         part.doc_string = ""
     del graph.metadata_props[:]
@@ -209,7 +209,7 @@ def _graph(controller: TorqueController) -> Any:
 
 @contextlib.contextmanager
 def _quiet() -> Any:
-    """Without the exporter's own notes, which tell the user nothing that helps."""
+    """Suppress the exporter's messages, which do not help the user."""
     logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)

@@ -1,4 +1,4 @@
-"""The torque policy: two networks, a normaliser of their own, and a proportional torque head."""
+"""The torque policy: actor and critic with input normalisers, and a proportional torque head."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ CLIP = 10.0
 """Normalised observations are clipped to this many standard deviations."""
 
 MIN_STD = 0.01
-"""Floor of the standard deviation: a constant input (one height only) must not be blown up."""
+"""Smallest standard deviation: keeps constant inputs (a single height) from being amplified."""
 
 PUSH_SCALE = 10.0
-"""Accelerations that a network asks for are of this order, in m/s^2; other outputs are of 1."""
+"""Scale in m/s^2 of the network's acceleration outputs; other outputs have scale 1."""
 
 
 class RunningNorm(nn.Module):
     """Subtracts the running mean of each input and divides by its standard deviation.
 
-    It changes only when ``update`` is called, so that the probabilities of a rollout and of the
-    update that learns from it agree.
+    It changes only when ``update`` is called, so that a rollout and its update compute the same
+    probabilities.
     """
 
     mean: Tensor
@@ -73,7 +73,7 @@ class Network(nn.Module):
         self, columns: np.ndarray, spec: PolicySpec, outputs: int, output_gain: float
     ) -> None:
         super().__init__()
-        # Which columns is the environment's affair, what they mean the policy's: not saved.
+        # Not saved: column positions depend on the environment; the policy stores block names.
         self.register_buffer("columns", torch.as_tensor(columns), persistent=False)
         self.norm = RunningNorm(len(columns))
         layers: list[nn.Module] = []
@@ -87,21 +87,21 @@ class Network(nn.Module):
     def forward(self, obs: Tensor) -> Tensor:
         """Outputs ``(n, outputs)`` for full observations ``(n, D)``.
 
-        With ``low_precision`` set, while training, matrix products are in bfloat16, at twice
-        the speed. A rollout and its update then agree, since both go through here.
+        With ``low_precision`` set in training, matrix products use bfloat16 at twice the speed.
+        Rollout and update agree, since both use this method.
         """
         return self.of_inputs(self.inputs(obs))
 
     def inputs(self, obs: Tensor) -> Tensor:
-        """What the layers read of observations ``(n, D)``: normalised columns.
+        """Normalised input columns of observations ``(n, D)``.
 
-        An update makes them once of a whole rollout, during which the normaliser stands still.
+        An update computes them once for a whole rollout; the normaliser is constant meanwhile.
         """
         inputs = self.norm(obs.index_select(1, self.columns))
         return inputs.bfloat16() if self.low_precision else inputs
 
     def of_inputs(self, inputs: Tensor) -> Tensor:
-        """Outputs ``(n, outputs)`` for what ``inputs`` gave."""
+        """Outputs ``(n, outputs)`` for the result of ``inputs``."""
         with torch.autocast("cpu", torch.bfloat16, enabled=self.low_precision):
             return self.layers(inputs).float()
 
@@ -122,17 +122,17 @@ def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:
 
 
 class TorqueHead(nn.Module):
-    """gain * (q_ref - q) + tau_ref + balance: what the torque policy does before it learns.
+    """gain * (q_ref - q) + tau_ref + balance: the torque policy's action before training.
 
-    ``tau_ref`` is what the reference motion takes by inverse dynamics; without a reference it and
-    ``q_ref`` are zero. ``balance``, if the policy has it, acts on the centre of mass through the
-    legs (``balance.py``). The action is still one torque a joint, held for one step; the gains are
-    trained with the network and stay positive.
+    ``tau_ref`` are the inverse-dynamics torques of the reference motion; without a reference,
+    ``tau_ref`` and ``q_ref`` are zero. ``balance``, if the policy has it, controls the centre of
+    mass through the legs (``balance.py``). The action is one torque per joint, held for one step.
+    The gains are trained with the network and stay positive.
 
     Args:
         gains: ``(33,)`` start values, action per radian.
         layout: the observation's blocks.
-        spec: of the policy.
+        spec: the policy's spec.
     """
 
     joint_columns: Tensor
@@ -151,7 +151,7 @@ class TorqueHead(nn.Module):
         self.use_layout(layout)
 
     def use_layout(self, layout: Layout) -> None:
-        """Find the joint angles (and the reference's) in the observation."""
+        """Find the columns of the joint angles (and the reference's) in the observation."""
         self.joint_columns = torch.as_tensor(layout.columns((JOINT_BLOCK,)))
         if self.reference:
             self.reference_columns = torch.as_tensor(layout.columns((REFERENCE_BLOCK,)))
@@ -160,7 +160,7 @@ class TorqueHead(nn.Module):
             self.balance.use_layout(layout)
 
     def terms(self, obs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """What of observations ``(n, D)`` the head needs.
+        """The head's inputs from observations ``(n, D)``.
 
         Returns:
             q_ref - q in radians ``(n, 33)``; tau_ref ``(n, 33)``, or ``(n, 0)`` without a
@@ -180,7 +180,7 @@ class TorqueHead(nn.Module):
 
         Args:
             error, torque, balance: see ``terms``.
-            push: ``(n, 3)`` what the network adds to the balance's acceleration, m/s^2.
+            push: ``(n, 3)`` acceleration that the network adds to the balance's, m/s^2.
         """
         action = self.log_gain.exp() * error
         if torque.shape[1]:
@@ -189,9 +189,10 @@ class TorqueHead(nn.Module):
 
 
 def with_head(outputs: Tensor, head: TorqueHead | None, terms: tuple[Tensor, ...]) -> Tensor:
-    """Mean action ``(n, 33)`` of an actor's outputs and a head's ``terms``.
+    """Mean action ``(n, 33)`` from the actor's outputs and the head's ``terms``.
 
-    Of 36 outputs the last three are an acceleration for ``Balance``, in units of ``PUSH_SCALE``.
+    If there are 36 outputs, the last three are an acceleration for ``Balance``, in units of
+    ``PUSH_SCALE``.
     """
     if head is None:
         return outputs
@@ -203,8 +204,8 @@ def with_head(outputs: Tensor, head: TorqueHead | None, terms: tuple[Tensor, ...
 class TorquePolicy(ActorCriticPolicy):
     """Gaussian policy over torques in [-1, 1], for stable-baselines3's on-policy algorithms.
 
-    The mean is ``actor(o) + gain * (q_ref - q) + tau_ref + balance``; it is not squashed, the
-    environment clips it.
+    The mean is ``actor(o) + gain * (q_ref - q) + tau_ref + balance``. It is not squashed; the
+    environment clips the action.
 
     Args:
         observation_space: box of shape ``(D,)``.
@@ -215,7 +216,7 @@ class TorquePolicy(ActorCriticPolicy):
         gains: ``(33,)`` start values of the head, action per radian; needed with a head.
         noise: ``(33,)`` start values of the standard deviation.
         learn_noise: whether the standard deviation is trained.
-        critic_learning_rate: a learning rate of its own for the critic, or None for the actor's.
+        critic_learning_rate: learning rate of the critic; None for the actor's.
     """
 
     def __init__(
@@ -250,7 +251,7 @@ class TorquePolicy(ActorCriticPolicy):
         spec, settings = self.spec, self.settings
         assert self.action_space.shape is not None
         actions = self.action_space.shape[0]
-        # The small last layer makes the head (or rest) the first policy, whatever is observed.
+        # With a small last layer, the initial policy is the head alone (or zero torque).
         actor_columns = self.layout.columns(spec.actor_blocks)
         outputs = actions + (PUSHES if spec.balance == "feet" else 0)
         self.actor = Network(actor_columns, spec, outputs, output_gain=0.01)
@@ -266,7 +267,7 @@ class TorquePolicy(ActorCriticPolicy):
             requires_grad=settings["learn_noise"],
         )
         rate = float(lr_schedule(1))
-        # Two optimisers, since actor and critic learn side by side.
+        # Two optimisers, since actor and critic are trained in parallel.
         self.optimizer = _adam(self.actor_parameters(), rate)
         self.critic_optimizer = (
             _adam(self.critic.parameters(), settings["critic_learning_rate"] or rate)
@@ -275,7 +276,7 @@ class TorquePolicy(ActorCriticPolicy):
         )
 
     def actor_parameters(self) -> list[nn.Parameter]:
-        """What the policy gradient trains."""
+        """The parameters that the policy gradient trains."""
         head = list(self.head.parameters()) if self.head is not None else []
         return [*self.actor.parameters(), *head, self.log_std]
 
@@ -284,12 +285,12 @@ class TorquePolicy(ActorCriticPolicy):
         return self.action_mean_of(*self.action_inputs(obs))
 
     def action_inputs(self, obs: Tensor) -> tuple[Tensor, ...]:
-        """What the mean action depends on: the actor's inputs and the terms of the head."""
+        """Inputs of the mean action: the actor's inputs and the terms of the head."""
         terms = () if self.head is None else self.head.terms(obs)
         return self.actor.inputs(obs), *terms
 
     def action_mean_of(self, inputs: Tensor, *terms: Tensor) -> Tensor:
-        """Mean action ``(n, 33)`` for rows of what ``action_inputs`` gave."""
+        """Mean action ``(n, 33)`` for rows of the result of ``action_inputs``."""
         return with_head(self.actor.of_inputs(inputs), self.head, terms)
 
     def predict_values(self, obs: Tensor) -> Tensor:  # type: ignore[override]
@@ -297,9 +298,9 @@ class TorquePolicy(ActorCriticPolicy):
         return self.critic(obs) if self.critic is not None else obs.new_zeros(len(obs), 1)
 
     def use_bfloat16(self, on: bool) -> None:
-        """Choose the precision of matrix products: bfloat16 to train, float32 to act.
+        """Choose the precision of matrix products: bfloat16 for training, float32 for acting.
 
-        Stays float32 on a processor without bfloat16.
+        It stays float32 on processors without native bfloat16.
         """
         self.actor.low_precision = on and native_bfloat16()
         if self.critic is not None:
@@ -323,7 +324,7 @@ class TorquePolicy(ActorCriticPolicy):
             return self.action_mean(torch.from_numpy(obs)).clamp_(-1.0, 1.0).numpy()
 
     def use_layout(self, layout: Layout) -> None:
-        """Read the same blocks from an observation that has them in other columns."""
+        """Read the same blocks from an observation with other column positions."""
         for module, blocks in (
             (self.actor, self.spec.actor_blocks),
             (self.critic, self.spec.critic_blocks),
@@ -333,7 +334,7 @@ class TorquePolicy(ActorCriticPolicy):
         if self.head is not None:
             self.head.use_layout(layout)
 
-    # The rest is what stable-baselines3 calls.
+    # The remaining methods are called by stable-baselines3.
 
     def get_distribution(self, obs: Tensor) -> Distribution:  # type: ignore[override]
         """The action distribution for observations ``(n, D)``."""

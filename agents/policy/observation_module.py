@@ -1,7 +1,7 @@
 """The sparse observation as a torch module: QuestSim's 475 numbers from a simulator's raw state.
 
-It says the same as ``envs.kernels.observe``, which environments use, in operations that a graph
-of another runtime can hold; the tests compare the two.
+It computes the same as ``envs.kernels.observe``, which environments use, in operations that can be
+exported to other runtimes. The tests compare the two.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from questsim.skeleton import FEET, NUM_DOFS, NUM_LINKS
 
 MIN_FORWARD = 1e-9
-"""A root whose x axis is more upright than this has no heading; it is taken as zero."""
+"""If the root's x axis is more upright than this, its heading is undefined and taken as zero."""
 
 
 class SparseObservation(nn.Module):
@@ -21,8 +21,8 @@ class SparseObservation(nn.Module):
     The blocks are those of ``envs.layout.observation_layout`` without a privileged one.
 
     Args:
-        frames: frames of the devices, the coming ones in order (or one, the present).
-        devices: devices a frame.
+        frames: device frames per observation: the future ones in order, or only the present one.
+        devices: devices per frame.
     """
 
     def __init__(self, frames: int, devices: int) -> None:
@@ -30,7 +30,7 @@ class SparseObservation(nn.Module):
         self.frames, self.devices = frames, devices
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """The arguments of ``forward``, in order: their shapes behind the batch axis."""
+        """Shapes of the arguments of ``forward``, in order, without the batch axis."""
         return {
             "qpos": (7 + NUM_DOFS,),
             "link_position": (NUM_LINKS, 3),
@@ -63,7 +63,7 @@ class SparseObservation(nn.Module):
             qpos: ``(n, 40)`` root position, root orientation, hinge angles.
             link_position: ``(n, 16, 3)`` link origins in metres.
             link_quat: ``(n, 16, 4)`` link orientations.
-            qvel: ``(n, 39)``; of it only the hinges' velocities are read, rad/s.
+            qvel: ``(n, 39)``; only the hinge velocities are read, rad/s.
             link_velocity: ``(n, 16, 3)`` of the link origins, m/s.
             link_angular_velocity: ``(n, 16, 3)`` rad/s.
             contact_force: ``(n, 2, 3)`` force of the floor on each foot, N.
@@ -72,7 +72,7 @@ class SparseObservation(nn.Module):
             height_m: ``(n, 1)`` stature.
         """
         cos, sin = heading(qpos[:, 3:7])
-        # The height above the floor stays: only the place on the floor is the root's.
+        # Positions are relative to the root horizontally; heights stay relative to the floor.
         below_root = torch.cat([qpos[:, :2], torch.zeros_like(qpos[:, :1])], dim=1)[:, None]
 
         def turned(vectors: Tensor) -> Tensor:

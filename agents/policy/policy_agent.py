@@ -49,7 +49,7 @@ class PolicyAgent:
         self.policy.use_layout(layout)
 
     def reset(self, n: int) -> None:
-        """Nothing to forget: the policy has no memory."""
+        """Does nothing: the policy has no state."""
 
     def act(self, obs: np.ndarray) -> np.ndarray:
         """Deterministic actions ``(n, 33)`` for observations ``(n, D)``."""
@@ -57,19 +57,19 @@ class PolicyAgent:
 
 
 class Tracker(PolicyAgent):
-    """A policy that reads the full-body reference: given any motion, it produces torques."""
+    """A policy that observes the full-body reference of any motion and outputs torques."""
 
 
 def new_policy(
     spec: PolicySpec, layout: Layout, learning_rate: float = 1e-3, **settings: Any
 ) -> TorquePolicy:
-    """A policy that belongs to no environment yet.
+    """A policy that is not yet bound to an environment.
 
     Args:
         spec: networks and head.
         layout: the observation blocks it reads.
-        learning_rate: of its optimiser.
-        **settings: the others of ``TorquePolicy``.
+        learning_rate: learning rate of its optimiser.
+        **settings: other arguments of ``TorquePolicy``.
     """
     columns = max(stop for _, stop in layout.blocks.values())
     if spec.torque_head and settings.get("gains") is None:

@@ -1,4 +1,4 @@
-"""What a policy is made of, and what it expects of the environment it acts in."""
+"""The spec of a policy: its networks and head, and the observation blocks that it needs."""
 
 from __future__ import annotations
 
@@ -10,28 +10,29 @@ import numpy as np
 from questsim.errors import InputError
 
 SPARSE_BLOCKS: tuple[str, ...] = ("o_sim", "o_user", "o_scale")
-"""What a headset-driven policy sees (QuestSim, section 4.2)."""
+"""Observation blocks of a headset-driven policy (QuestSim, section 4.2)."""
 
 TRACKER_BLOCKS: tuple[str, ...] = ("o_sim", "o_scale", "privileged")
-"""What a full-body tracker sees: the reference itself instead of the devices."""
+"""Observation blocks of a full-body tracker: the reference instead of the devices."""
 
 JOINT_BLOCK, REFERENCE_BLOCK = "joint_angles", "midway_joint_angles"
 """The blocks of joint angles that the torque head compares."""
 
 TORQUE_BLOCK = "reference_torques"
-"""The block that a torque head around the reference adds as it is."""
+"""The block that a torque head around the reference adds unchanged."""
 
 BALANCE: tuple[str, ...] = ("none", "reference", "feet")
 
-# Exploration noise by joint: large where torques are large and mistakes are survived, small where
-# a light limb would only tremble (feasibility: 0.12 for legs and trunk, 0.04 for arms and neck).
+# Exploration noise by joint: large for strong joints, where errors do not end the episode, small
+# for light limbs, which would only tremble (found by trial: 0.12 for legs and trunk, 0.04 for arms
+# and neck).
 LEG_AND_TRUNK_JOINTS = ("hip", "knee", "ankle", "spine", "chest")
 
 HEAD_SETTLING_TIME_S = 0.08
 """The initial stiffness is 4 x damping over this time.
 
-A torque that is held for T acts T / 2 late, which takes kp T / 2 from a joint's damping c: above
-kp = 2 c / T = 72 c the springs swing by themselves. 0.08 s gives 50 c, 0.04 s would give 100 c."""
+A torque held for T acts with a delay of T / 2, which reduces a joint's damping c by kp T / 2. Above
+kp = 2 c / T = 72 c the spring oscillates by itself. 0.08 s gives 50 c, 0.04 s would give 100 c."""
 
 
 @dataclass(frozen=True)
@@ -41,14 +42,14 @@ class PolicySpec:
     Attributes:
         actor_blocks: names of the observation blocks that the actor reads, in order.
         critic_blocks: those that the critic reads; empty for a policy without critic.
-        hidden: widths of the hidden layers, of the actor and of the critic alike.
+        hidden: widths of the hidden layers of both actor and critic.
         activation: ``tanh``, ``elu`` or ``silu``.
         torque_head: whether to add the proportional term to the actor's output.
-        reference_head: whether the proportional term is around the reference pose and comes on top
-            of the torques that the motion takes (else it is around the zero pose).
-        balance: feedback of the centre of mass through the standing legs as a term of the head,
-            see ``balance.py``: towards the ``reference``, towards a place midway between the
-            ``feet`` (and what the network adds to that), or ``none``.
+        reference_head: whether the proportional term is around the reference pose and added to the
+            inverse-dynamics torques of the motion (otherwise it is around the zero pose).
+        balance: feedback on the centre of mass through the standing legs as a term of the head,
+            see ``balance.py``: towards the ``reference``, towards the midpoint of the ``feet``
+            (plus an acceleration from the network), or ``none``.
     """
 
     actor_blocks: tuple[str, ...] = SPARSE_BLOCKS
@@ -98,7 +99,7 @@ class Layout:
         return np.concatenate([np.arange(*self.blocks[name]) for name in names])
 
     def within(self, names: tuple[str, ...]) -> Layout:
-        """Only the blocks whose columns all belong to the named ones: what a policy depends on."""
+        """The blocks whose columns all belong to the named blocks: those a policy depends on."""
         used = set(self.columns(names).tolist())
         return Layout({n: b for n, b in self.blocks.items() if used.issuperset(range(*b))})
 
@@ -107,14 +108,14 @@ class Layout:
         return {name: stop - start for name, (start, stop) in self.blocks.items()}
 
     def check_provides(self, needed: Layout, where: str | None = None) -> None:
-        """Refuse an observation that lacks a block, or has one of another size or inner order.
+        """Refuse an observation without a needed block, or with another block size or inner order.
 
         Args:
             needed: the blocks a policy was trained with.
             where: the policy's name, for the message.
 
         Raises:
-            InputError: naming the first block that differs.
+            InputError: names the first block that differs.
         """
         sizes = self.sizes()
         for name, size in needed.sizes().items():
