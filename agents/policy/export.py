@@ -70,12 +70,21 @@ class TorqueController(nn.Module):
         self.torque_power = PRESETS[body_preset].torque_power
 
     def forward(self, *state: Tensor) -> Tensor:
-        """Torques ``(n, 33)`` in N m for the arguments of ``SparseObservation.forward``."""
-        obs, height_m = self.observation(*state), state[-1]
+        """Torques ``(n, 33)`` in N m for the arguments of ``SparseObservation.forward``.
+
+        Heights are clamped to those that bodies have. An avatar with a number that is not finite,
+        such as of a device that has lost tracking, gets no torques.
+        """
+        whole = torch.stack([torch.isfinite(part).flatten(1).all(dim=1) for part in state])
+        finite = whole.all(dim=0)[:, None]
+        state = tuple(torch.where(torch.isfinite(part), part, 0.0) for part in state)
+        height_m = state[-1].clamp(MIN_HEIGHT_M, MAX_HEIGHT_M)
+        obs = self.observation(*state[:-1], height_m)
         terms = () if self.head is None else self.head.terms(obs)
         action = with_head(self.actor(obs), self.head, terms)
         strength = (height_m / DEFAULT_HEIGHT_M) ** self.torque_power
-        return action.clamp(-1.0, 1.0) * self.torque_limits * strength
+        torques = action.clamp(-1.0, 1.0) * self.torque_limits * strength
+        return torch.where(finite, torques, 0.0)
 
 
 def export(args: ExportArgs) -> int:
