@@ -227,8 +227,8 @@ def evaluate(
     """The content of metrics.json: figures over all clips, by kind and by style.
 
     Each group has two columns: ``all``, every clip until its fall, and ``completed``, only clips
-    that were followed to their last frame. Where falls are many the second flatters: the hard
-    clips are missing from it. ``intervals`` has the 95 % bootstrap interval over clips of each
+    that were followed to their last frame. With many falls ``completed`` is too optimistic, because
+    the hard clips are missing from it. ``intervals`` has the 95 % bootstrap interval over clips of each
     figure of both columns, or None for fewer than 11 clips.
 
     Args:

@@ -151,8 +151,8 @@ def pose_samples(
         position, rotations: estimated.
         reference, reference_rotations: of the user.
         fps: frames a second of both.
-        ends: joints of ``ee``: those that carry a device. DragPoser must use the same ones: it
-            reports the same error with four trackers, none on the feet, as with six.
+        ends: joints of ``ee``: those that carry a device. DragPoser apparently uses the same: with
+            four trackers, none on the feet, it reports the same error as with six.
     """
     by_head = aligned(position, reference, HEAD)
     by_root = aligned(position, reference, ROOT)

@@ -16,11 +16,11 @@ __all__ = ["FORMATS", "SKELETONS", "check_format", "file_names", "write_clip", "
 
 
 def write_clip(path: Path, clip: Clip, skeleton: str = "joints") -> None:
-    """Write a clip of the avatar; the ending of the file says the format.
+    """Write a clip of the avatar; the suffix of the file selects the format.
 
     Args:
         path: ``.bvh``, ``.glb``, ``.npz`` or ``.csv``.
-        clip: what to write.
+        clip: the clip to write.
         skeleton: of a BVH file: ``joints`` for the 22 joints of a ``Motion``, whose zero pose is
             a T-pose, ``avatar`` for the 16 links as they are. GLB and CSV always have the
             avatar, npz the 22 joints.

@@ -1,4 +1,4 @@
-"""Which formats there are, without what writes them."""
+"""Names of the export formats; this module does not import the writers."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ def check_format(name: str, where: str) -> str:
 
 
 def needs(package: str, where: str | Path) -> None:
-    """Refuse what an optional package is needed for, if it is not there.
+    """Check that an optional package is installed.
 
     Raises:
-        InputError: naming the package, and what installs it.
+        InputError: it is missing; names the package and the command that installs it.
     """
     if importlib.util.find_spec(package) is None:
         fix = "install it, as with pip install 'questsim[live]'"
@@ -37,7 +37,7 @@ def needs(package: str, where: str | Path) -> None:
 
 
 def file_names(names: Sequence[str]) -> list[str]:
-    """Names of clips as names of files: no separators, none twice."""
+    """Make unique file names, without separators, from names of clips."""
     out: list[str] = []
     for name in names:
         plain = re.sub(r"[^\w.+-]+", "_", name).lstrip(".") or "motion"

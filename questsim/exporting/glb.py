@@ -19,7 +19,7 @@ ROUGHNESS = 0.75
 
 
 class _Buffer:
-    """The binary part of a GLB file, and what describes it."""
+    """The binary part of a GLB file, and its accessors."""
 
     def __init__(self) -> None:
         self.file = gltf.GLTF2()
@@ -60,7 +60,7 @@ def avatar_glb(height_m: float, clip: Clip | None = None, devices: bool = False)
 
     Args:
         height_m: stature in metres.
-        clip: what it does, as the file's animation; None for the zero pose without one.
+        clip: motion for the file's animation; None for the zero pose without animation.
         devices: whether it wears a headset and holds controllers.
     """
     buffer, ratio = _Buffer(), height_m / DEFAULT_HEIGHT_M
@@ -95,7 +95,7 @@ def avatar_glb(height_m: float, clip: Clip | None = None, devices: bool = False)
 
 
 def write_glb(path: Path, clip: Clip) -> None:
-    """Write the avatar of a clip and what it does."""
+    """Write the avatar of a clip with the clip as its animation."""
     path.write_bytes(avatar_glb(clip.height_m, clip))
 
 
@@ -113,7 +113,7 @@ def _material(name: str, rgba: tuple[float, ...]) -> gltf.Material:
 
 
 def _animation(buffer: _Buffer, clip: Clip) -> gltf.Animation:
-    """Rotations of all links and the way of the pelvis, linear between frames."""
+    """Rotations of all links and the path of the pelvis, linear between frames."""
     animation = gltf.Animation(name=clip.name)
     times = buffer.add((np.arange(len(clip)) / FPS).astype(np.float32), gltf.SCALAR)
 

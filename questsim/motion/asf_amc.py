@@ -40,7 +40,7 @@ class _Bone:
 
 @dataclass
 class Skeleton:
-    """What an ASF file says.
+    """Content of an ASF file.
 
     Attributes:
         bones: by name, the root under ``"root"``.
@@ -326,7 +326,7 @@ def _read_amc(text: str, skeleton: Skeleton, path: Path) -> dict[str, np.ndarray
 
 
 def _check_whole(frames: list[dict], moving: dict[str, int], where: str | Path) -> None:
-    """Refuses a last frame that lacks a bone."""
+    """Reject a last frame that lacks a bone."""
     missing = [name for name in moving if name not in frames[-1]] if frames else []
     if missing:
         raise InputError(f"frame {len(frames)} has no line of {missing[0]}", where, AGAIN)

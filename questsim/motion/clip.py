@@ -1,4 +1,4 @@
-"""A motion of the avatar: what the simulation is asked to reproduce."""
+"""A motion of the avatar: the reference that the simulation follows."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class Dataset:
     """A public dataset.
 
     Attributes:
-        name: what a motion argument calls it.
+        name: its name in motion arguments.
         title: its full name.
         url: the archive.
         folder: the folder inside the archive that holds it.

@@ -33,7 +33,7 @@ class Family:
     """How one kind of skeleton maps onto the 22 joints.
 
     Attributes:
-        name: what reports call it.
+        name: its name in reports.
         joints: our joint's name to the file's.
         axes: for each joint, which of its own axes point forward, left and up in the T-pose,
             e.g. ``"z -y x"``; a joint that is not listed takes ``zero_axes``.
@@ -243,7 +243,7 @@ def registered_families() -> tuple[Family, ...]:
 
 
 def add_families(families: Sequence[Family]) -> None:
-    """Register what another process had registered."""
+    """Register the families of another process."""
     for family in families:
         register_family(family)
 
@@ -299,7 +299,7 @@ def load_mapping(path: str | Path) -> Family:
 
 
 def _check_types(table: dict[str, object], path: Path) -> None:
-    """Refuse values of another type than ``Family`` has; unknown keys are not looked at."""
+    """Reject values of the wrong type for ``Family``; unknown keys are ignored."""
     number, text = (int, float), (str, type(None))
     kinds = {"joints": dict, "axes": dict, "foot_pitch": number, "toe_pitch": number}
     kinds |= {"name": str, "zero_axes": text, "up": text, "units": text, "feet_follow_shins": bool}

@@ -1,4 +1,4 @@
-"""Where the avatar's ankles go, and what a person's recording says about floor and soles.
+"""Target positions of the avatar's ankles; floor and soles estimated from a recording.
 
 ``retarget`` measures the footing of each motion from that motion; ``retarget_stream`` takes it
 from a recording of the same person, as a calibration would.

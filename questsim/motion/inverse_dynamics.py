@@ -69,7 +69,8 @@ class InverseDynamics:
     def forces(self, clip: Clip) -> np.ndarray:
         """All generalised forces ``(T, 39)`` at each frame of a clip of this height.
 
-        The first six act on the root, in N in the world and in N m: what the floor cannot give.
+        The first six are the residual on the root, in N in the world and in N m, that the floor
+        cannot supply.
         """
         acceleration = np.gradient(clip.qvel, 1.0 / FPS, axis=0)
         return np.stack(

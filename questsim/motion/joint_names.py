@@ -1,4 +1,4 @@
-"""What a joint's name says: its side, and the part of the body it may be.
+"""Side and possible body parts of a joint, from its name.
 
 Producers write the same joint in dozens of ways (``mixamorig:LeftUpLeg``, ``CC_Base_L_Thigh``,
 ``Bip01 L Thigh``, ``thigh.L``, ``lfemur``, ``J_Bip_L_UpperLeg``): names are cut into words, words

@@ -1,4 +1,4 @@
-"""Forward kinematics of the avatar over whole clips, and what follows from it."""
+"""Forward kinematics of the avatar over whole clips, and derived quantities."""
 
 from __future__ import annotations
 

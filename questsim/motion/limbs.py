@@ -1,4 +1,4 @@
-"""The avatar's trunk, legs and arms from a motion's joints: what retargeting is made of.
+"""The avatar's trunk, legs and arms from a motion's joints: the steps of retargeting.
 
 Trunk and head take the motion's orientations; legs and arms are bent by two-bone inverse
 kinematics in the plane of the motion's knee or elbow. ``retarget`` puts a whole clip together of

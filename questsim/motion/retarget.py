@@ -46,7 +46,7 @@ def to_clip(motion: Motion, footing: Footing | None = None) -> Clip:
     """Retarget a motion to the avatar of the same stature, at 36 Hz, feet on the floor.
 
     Args:
-        motion: what to retarget.
+        motion: the motion to retarget.
         footing: of another recording of the same person, whose floor the motion then keeps, be
             it that feet float or sink; by default the motion's own, and no foot sinks.
 

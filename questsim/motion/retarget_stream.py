@@ -1,9 +1,9 @@
 """``retarget`` for a stream: poses of a person on the avatar, one after the other.
 
-Whole motions tell by themselves where their floor is and how their feet stand. Here a recording of
-the same person tells both beforehand, as a calibration would, and every pose keeps its height over
-that floor: what floats or sinks is seen to. If the feet of that recording have to be planted, those
-of the poses are, too, without a look ahead (``StancePlanter``).
+For a whole motion, the floor and the stance of the feet are estimated from the motion itself. Here
+both come from an earlier recording of the same user, like a calibration. Every pose keeps its
+height above that floor, so floating and sinking stay visible. If the feet of that recording need
+planting, the feet of the poses are planted too, without look-ahead (``StancePlanter``).
 """
 
 from __future__ import annotations

@@ -193,7 +193,7 @@ def _cached(
     """Reads files through a library in the cache, whose name is a digest of all it depends on.
 
     Args:
-        key: what the library depends on.
+        key: everything on which the library depends.
         files: to be read if it is not there.
         options: for reading.
         clips: whether clips are asked for, or motions.

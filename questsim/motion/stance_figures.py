@@ -1,4 +1,4 @@
-"""How well a retargeted clip stands: what ``questsim motions import`` prints for each."""
+"""Stance figures of a retargeted clip, as ``questsim motions import`` prints them."""
 
 from __future__ import annotations
 

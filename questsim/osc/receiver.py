@@ -38,7 +38,7 @@ class VmcReceiver:
 
     Attributes:
         port: where it listens.
-        refused: messages that were no poses, too many, or of devices without a role.
+        refused: number of dropped messages: invalid poses, too many, or devices without a role.
 
     Raises:
         InputError: the port is in use, or an unknown device is named.
@@ -112,7 +112,7 @@ class VmcReceiver:
         return self._budget >= 0.0
 
     def _device(self, kind: str, values: tuple[Any, ...]) -> str | None:
-        """The device of a message; None if it is of none, or no pose."""
+        """The device of a message; None for an unknown device or an invalid pose."""
         if len(values) != 8 or not isinstance(values[0], str):
             return None
         serial = values[0]

@@ -1,4 +1,4 @@
-"""What the avatar does, over OSC: as a VMC performer, or as VRChat's trackers.
+"""Send the avatar's motion over OSC, as a VMC performer or as VRChat's trackers.
 
 Sources: VMC protocol specification 3.1; VRChat's documentation, "OSC Trackers".
 """
@@ -35,7 +35,7 @@ _HEAD_UP_M = 0.185
 
 
 class Target(NamedTuple):
-    """Where OSC messages go.
+    """Destination of OSC messages.
 
     Attributes:
         host: a numeric address or a name.
@@ -68,7 +68,7 @@ class Target(NamedTuple):
 
 
 class _Sender:
-    """Bundles of messages to one address; what the network refuses is counted, not raised."""
+    """Sends bundles of messages to one address; network errors are counted, not raised."""
 
     def __init__(self, target: Target) -> None:
         self.target = target

@@ -1,4 +1,4 @@
-"""Where the camera stands: a still direction, a smooth path, everything in the picture."""
+"""Camera of a clip: constant direction, smooth path, everything in the picture."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from scipy.ndimage import gaussian_filter1d
 from questsim import rotations as rot
 
 FOVY_DEG = 35.0
-"""Vertical field of view; long enough a lens that limbs near the camera do not swell."""
+"""Vertical field of view; narrow enough that limbs near the camera are not distorted."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A view as MuJoCo's free camera has it.
+    """A view in the parameters of MuJoCo's free camera.
 
     Attributes:
         lookat: ``(3,)`` the point in the middle of the picture, metres.
@@ -56,7 +56,7 @@ class Camera:
 def three_quarter_azimuth(root_quat: np.ndarray) -> float:
     """Degrees that see people with root orientations ``(T, 4)`` from the front and a side.
 
-    The view is one for the whole clip: only against a still floor does sliding show.
+    The direction is constant over the clip, because foot sliding only shows against a still floor.
     """
     yaw = rot.heading(root_quat)
     mean = np.arctan2(np.sin(yaw).mean(), np.cos(yaw).mean())
@@ -72,11 +72,11 @@ def follow(
     margin: float = 0.84,
     fovy_deg: float = FOVY_DEG,
 ) -> list[Camera]:
-    """A camera for each frame: it glides along with the root and keeps all points in the picture.
+    """A camera for each frame; it follows the root smoothly and keeps all points in the picture.
 
     Args:
-        points: ``(T, n, 3)`` what has to be seen, metres.
-        root: ``(T, 3)`` what to follow, metres.
+        points: ``(T, n, 3)`` points to keep in the picture, metres.
+        root: ``(T, 3)`` path to follow, metres.
         azimuth_deg: the direction of view.
         aspect: width of the picture over its height.
         smoothing_frames: standard deviation of the smoothing, both ways in time; 0 for none.

@@ -33,7 +33,7 @@ def contact_sheet(clip: Clip, path: str | Path, columns: int = 8, rows: int = 2)
 
     Args:
         clip: the clip.
-        path: where to; its folder is made.
+        path: the PNG file; its folder is made.
         columns: pictures in a row.
         rows: rows of pictures; a short clip gets fewer.
 
@@ -114,7 +114,7 @@ def _draw_header(draw: ImageDraw.ImageDraw, clip: Clip) -> None:
 
 
 def _contact_strip(clip: Clip, frames: np.ndarray, width: int) -> Image.Image:
-    """When each foot bears on the floor, the root's speed, and where the pictures were taken."""
+    """Chart of foot contacts, the root's speed, and the times of the pictures."""
     dpi = 100
     chart = Chart(figsize=(width / dpi, STRIP / dpi), dpi=dpi)
     canvas = FigureCanvasAgg(chart)

@@ -1,7 +1,7 @@
-"""What the avatar looks like: convex shapes for each link, worn over the physics model's bones.
+"""Visual shapes of the avatar: convex shapes for each link of the physics model.
 
-Only pictures use these shapes. They follow the joints of the spec that they dress, so they fit
-every height; the soles are the physics model's own, so that a foot in the air is seen in the air.
+Only rendering uses these shapes. They are scaled with the joints of the spec, so they fit every
+height. The soles are those of the physics model, so that a foot in the air is visibly in the air.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ REFERENCE = Look(
 
 
 def figure_spec(height_m: float, look: Look, devices: bool = True) -> mujoco.MjSpec:
-    """A person to look at: the physics body's links and joints with a costume for geometry.
+    """A figure for rendering: the physics body's links and joints with the visual shapes.
 
     Args:
         height_m: stature, 1.2 to 2.2 m.
@@ -88,10 +88,10 @@ def figure_spec(height_m: float, look: Look, devices: bool = True) -> mujoco.MjS
 
 @dataclass(frozen=True)
 class Piece:
-    """A piece of the costume, in its link's frame, of the 1.75 m body.
+    """A mesh of the costume, in its link's frame, of the 1.75 m body.
 
     Attributes:
-        link: name of the link that wears it.
+        link: name of its link.
         material: a field of ``Look``.
         vertices, normals: ``(m, 3)`` metres, unit vectors.
         faces: ``(f, 3)`` indices of vertices.

@@ -1,4 +1,4 @@
-"""One PNG of a clip's feet close up, over a chart of how high their soles are."""
+"""One PNG of a clip's feet close up, above a chart of the height of their soles."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def feet_sheet(clip: Clip, path: str | Path, columns: int = 8) -> bool:
 
     Args:
         clip: the clip.
-        path: where to; its folder is made.
-        columns: how many pictures.
+        path: the PNG file; its folder is made.
+        columns: number of pictures.
 
     Returns:
         Whether the pictures are rendered; False for stick figures.

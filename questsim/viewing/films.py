@@ -1,4 +1,4 @@
-"""The pictures of a clip, and those of rollouts: the avatar beside the person it follows."""
+"""Films of a clip, and of rollouts with the avatar beside its user."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def title(clip: Clip) -> str:
 
 @dataclass(frozen=True)
 class _Shot:
-    """What the pictures of one rollout need, worked out once."""
+    """Data for the pictures of one rollout, computed once."""
 
     rollout: Rollout
     avatar: np.ndarray  # (F, 40)
@@ -162,8 +162,8 @@ def rollout_frames(
 ) -> Iterator[np.ndarray]:
     """Pictures ``(height, width, 3)`` of a page of rollouts that play at the same time.
 
-    The avatar is warm in colour, the person that it follows is blue; the blue boxes on the
-    avatar are where the person's headset and controllers are. A rollout that is over stays.
+    The avatar is orange, its user is blue. The blue boxes on the avatar are the user's headset and
+    controllers. A rollout that has ended keeps its last picture.
 
     Raises:
         NoGLError: there is no OpenGL library to render with.
@@ -215,15 +215,15 @@ def rollout_video(
 
     Args:
         rollouts: what evaluation produced.
-        path: the MP4.
-        max_clips: how many are filmed: the middle one of each kind, then others of each ...
+        path: the MP4 file.
+        max_clips: number of clips: first the middle one of each kind, then others of each kind.
         width: of the video in pixels.
         height: of the video in pixels.
         columns: pictures side by side; two rows make a page.
         stride: show every n-th frame; the film keeps its speed.
         max_seconds: the longest that a page plays.
-        layout: ``"beside"``, or ``"ghost"``: the person see-through at the same place.
-        ground: what they walk on, None for a plane.
+        layout: ``"beside"``, or ``"ghost"``: the user transparent at the same place.
+        ground: the ground; None for a plane.
 
     Returns:
         The path.
@@ -245,9 +245,9 @@ def rollout_video(
 
 
 def one_of_each_kind(rollouts: Sequence[T], count: int) -> list[T]:
-    """``count`` of them: the middle one of each kind, then the one after it, and so on around.
+    """Select ``count`` clips: the middle one of each kind, then the next of each, cyclically.
 
-    Libraries often begin and end a kind with its extremes; how well a clip went plays no part.
+    Libraries often begin and end a kind with its extremes. The scores of clips are not used.
     """
     by_kind: dict[str, list[T]] = {}
     for rollout in rollouts:
@@ -262,7 +262,7 @@ def named(choices: Sequence[T], names: Sequence[str], option: str) -> list[T]:
     """Rollouts or motions by their names, in the order of the names.
 
     Raises:
-        InputError: there is none of a name.
+        InputError: an unknown name.
     """
     by_name = {one.name: one for one in reversed(choices)}
     for name in names:

@@ -1,8 +1,8 @@
-"""Which OpenGL library can render off screen here, found without harming this process.
+"""Find an OpenGL library that can render off screen, without risk for this process.
 
 MuJoCo picks its OpenGL backend from the environment variable ``MUJOCO_GL`` when it is imported, and
-a backend whose library is missing may fail with any exception or abort. So each candidate renders
-one picture in a process of its own, and only one that has worked is used in this process.
+a backend without its library may raise any exception or abort. So each candidate renders one
+picture in a separate process, and this process uses only a backend that has worked.
 """
 
 from __future__ import annotations
@@ -50,15 +50,15 @@ class NoGLError(RuntimeError):
 def find_gl() -> GL | None:
     """The OpenGL backend to render with, or None; ``missing_gl()`` then says why.
 
-    A value of ``MUJOCO_GL`` is respected: it works, or there is none. Otherwise EGL, OSMesa and,
-    where there is a display, GLFW are tried in this order. The answer is kept for the process.
+    If ``MUJOCO_GL`` is set, only that backend is tried. Otherwise EGL, OSMesa and, with a display,
+    GLFW are tried in this order. The answer is cached for the process.
     """
     wanted = os.environ.get("MUJOCO_GL")
     return _find(wanted, bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")))
 
 
 def missing_gl() -> str:
-    """One line on why nothing can be rendered here and which Debian package changes that."""
+    """One line: why rendering does not work here, and which Debian package to install."""
     wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
     if wanted in _DISABLED:
         return f"rendering is switched off by MUJOCO_GL={wanted}"
@@ -118,7 +118,7 @@ def _renders(backend: str) -> bool:
 
 
 def switch_imported_mujoco(backend: str) -> None:
-    """Give MuJoCo the backend it would have chosen, had ``MUJOCO_GL`` been set at its import.
+    """Set MuJoCo's backend as if ``MUJOCO_GL`` had been set at its import.
 
     Its Renderer looks the context class up in ``gl_context`` at each use, and its C library reads
     the environment when the first context is made, so both follow.

@@ -1,4 +1,4 @@
-"""The figure as points and lines: to frame it in a picture, and to draw it without OpenGL."""
+"""The figure as points and lines, for camera framing and for drawing without OpenGL."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A page that shows a running simulation in any browser, and lets viewers interfere."""
+"""A web page that shows a running simulation and lets viewers control it."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ class Page:
     """A page at an address; it is empty until ``watch`` is given a session.
 
     Args:
-        host: where to listen; only the loopback address keeps others out, and others are warned of.
-        port: 0 for any free one.
-        title: shown above the controls.
+        host: address to listen on. Other machines can reach every address except loopback; a
+            warning says so.
+        port: port; 0 for any free one.
+        title: title above the controls.
 
     Raises:
         InputError: the address is in use or cannot be listened at.
@@ -52,7 +53,7 @@ class Page:
         return len(self._server.get_clients())
 
     def watch(self, session: Session, stop: threading.Event) -> None:
-        """Show a session to whoever looks, until ``stop`` is set."""
+        """Show a session to all viewers until ``stop`` is set."""
         self._loading.remove()
         panel = PagePanel(self._server, session, self._scene)
         shown, words_due = -1, 0.0

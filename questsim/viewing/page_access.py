@@ -1,8 +1,8 @@
-"""Who may use a page: requests that name this server, from its own pages, with its token.
+"""Access control of the page: requests must name this server, its own page, and its token.
 
-A browser sends any website's requests to a server on loopback. Two headers tell them apart: Host
-has the name that the browser asked for (another one after DNS rebinding), Origin the page that
-asks.
+Any website can make a browser send requests to a server on loopback. Two headers identify such
+requests: Host is the name that the browser asked for (a foreign name after DNS rebinding), Origin
+is the page that sent the request.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ def is_loopback(host: str) -> bool:
 
 @dataclass(frozen=True)
 class Access:
-    """What a server answers, and what it refuses.
+    """Rules that decide which requests a server answers.
 
     Attributes:
-        host: the address that it listens at.
-        token: that the first request must have in its address; None on loopback.
+        host: the address on which it listens.
+        token: token required in the address of the first request; None on loopback.
     """
 
     host: str
@@ -50,7 +50,7 @@ class Access:
         return cls(host, None if is_loopback(host) else secrets.token_urlsafe(16))
 
     def refusal(self, host: str | None, origin: str | None) -> str | None:
-        """Why a request is not answered, from its headers; None if it may be.
+        """Reason to reject a request, from its headers; None if it is allowed.
 
         Args:
             host: the header Host, with or without a port.
@@ -77,7 +77,7 @@ class Access:
             return True
         if is_loopback(self.host):
             return False
-        # A rebound name is a name: an address is what somebody typed.
+        # DNS rebinding needs a name; a numeric address was typed by the user.
         with contextlib.suppress(ValueError):
             ipaddress.ip_address(name)
             return True
