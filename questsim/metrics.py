@@ -228,8 +228,8 @@ def evaluate(
 
     Each group has two columns: ``all``, every clip until its fall, and ``completed``, only clips
     that were followed to their last frame. With many falls ``completed`` is too optimistic, because
-    the hard clips are missing from it. ``intervals`` has the 95 % bootstrap interval over clips of each
-    figure of both columns, or None for fewer than 11 clips.
+    the hard clips are missing from it. ``intervals`` has the 95 % bootstrap interval over clips of
+    each figure of both columns, or None for fewer than 11 clips.
 
     Args:
         rollouts: one a clip.
