@@ -19,7 +19,7 @@ import torch
 
 from agents.agent import Agent, Needs
 from agents.loading import load_agent
-from agents.policy.networks import CLIP, MIN_STD
+from agents.policy.networks import CLIP, MIN_STD, PUSH_SCALE
 from agents.policy.policy_agent import PolicyAgent, new_policy
 from agents.policy.spec import Layout, initial_gains
 from agents.training.presets import PRESETS
@@ -30,6 +30,7 @@ from envs.layout import observation_layout
 from questsim.body import build_body
 from questsim.cli import guarded
 from questsim.motion.clip import FPS
+from questsim.skeleton import NUM_DOFS
 
 GOAL = 20.0
 """Times real time."""
@@ -138,7 +139,14 @@ def numpy_forward(agent: PolicyAgent) -> Callable[[np.ndarray], np.ndarray]:
         for weight, bias in hidden:
             x = activation(x @ weight + bias)
         x = x @ last[0] + last[1]
+        x, push = x[:, :NUM_DOFS], x[:, NUM_DOFS:]
         if head is not None:
+            if head.balance is not None:
+                # Balance stays in PyTorch: it has no weights to multiply by.
+                with torch.no_grad():
+                    terms = head.balance.terms(torch.from_numpy(obs))
+                    asked = PUSH_SCALE * torch.from_numpy(push) if push.shape[1] else None
+                    x = x + head.balance(terms, asked).numpy()
             x -= gains * obs[:, head.joint_columns.numpy()]
             if head.reference_columns is not None:
                 x += gains * obs[:, head.reference_columns.numpy()]

@@ -188,7 +188,7 @@ def test_replay_writes_scores_and_refuses_what_it_cannot_write(tmp_path, capsys)
     assert scores["falls"] == 0 and "mhpe_cm" in capsys.readouterr().out
     with pytest.raises(InputError, match="nothing says how tall"):
         replay(ReplayArgs(path, agent="questsim-now", calibrate=0.0))
-    with pytest.raises(InputError, match=r"no \.json"):
+    with pytest.raises(InputError, match=r"does not end in one of \.json"):
         replay(ReplayArgs(path, out=tmp_path / "x.doc"))
 
 

@@ -172,7 +172,7 @@ def test_truths_are_as_tall_as_what_is_estimated_of_their_recordings(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"stage": "teacher"}, "--estimates: are not for stage teacher"),
+        ({"stage": "teacher", "teacher": None}, "--estimates: are not for stage teacher"),
         ({"mirrored": True}, "--estimates: are not mirrored"),
     ],
 )
