@@ -7,8 +7,9 @@ export function readFrame(time, frame, space) {
   if (viewer && !viewer.emulatedPosition) message.headset = seven(viewer.transform);
   for (const source of frame.session.inputSources) {
     if (source.handedness !== "left" && source.handedness !== "right") continue;
+    // One that the cameras do not see is where the runtime's own sensors say.
     const pose = handPose(frame, source, space);
-    if (pose && !pose.emulatedPosition) message[`${source.handedness}_controller`] = seven(pose.transform);
+    if (pose) message[`${source.handedness}_controller`] = seven(pose.transform);
   }
   return message;
 }
