@@ -1,4 +1,4 @@
-"""The avatar follows a live stream of devices: ``Follower``, ``Calibration`` and what they use."""
+"""The avatar follows a live device stream: ``Follower``, ``Calibration`` and their parts."""
 
 from agents.follower.calibration import Calibration, calibrate
 from agents.follower.follower import Follower

@@ -1,15 +1,15 @@
-"""From frames as they arrive to moments at a fixed rate, without gaps, jumps or silent devices.
+"""Convert arriving frames to moments at a fixed rate, without gaps, jumps or missing devices.
 
-- Moments are interpolated by timestamp, so that rates, jitter and lost frames do not matter; a
-  frame that is older than the last one is dropped.
-- Frames may be missing for up to ``BRIDGE_S``: what lies between is interpolated.
-- A controller that does not report is carried along with the head as it was, and sinks to the
-  side of the body after ``HOLD_S``. When it reports again it is eased in.
-- While the headset does not report everything stands still.
-- After more than ``BRIDGE_S`` without frames or headset, a user who is still within ``NEAR_M`` and
-  ``NEAR_RAD`` of where they were is eased in; another begins anew.
-- A headset that jumps as nobody moves was recentred or teleported: the user's space is moved
-  along, so that the avatar goes on as it was (or begins anew where a terrain is under it).
+- Moments are interpolated by timestamp, so frame rate, jitter and lost frames do not matter. A
+  frame older than the last one is dropped.
+- Gaps of up to ``BRIDGE_S`` are interpolated.
+- A controller that does not report moves rigidly with the head and sinks to the side of the body
+  after ``HOLD_S``. When it reports again, it is blended in.
+- While the headset does not report, everything stands still.
+- After more than ``BRIDGE_S`` without frames or headset, a user still within ``NEAR_M`` and
+  ``NEAR_RAD`` of the last pose is blended in; otherwise the avatar is set up again.
+- A headset that jumps faster than a person can move was recentred or teleported. The user's space
+  is moved with it, so that the avatar continues (or is set up again if it is on a terrain).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ JUMP_M, JUMP_M_S = 0.3, 5.0
 JUMP_RAD, JUMP_RAD_S = np.radians(40.0), np.radians(1000.0)
 """... or turns so."""
 CLOCK_BACK_S = 1.0
-"""A clock that goes back by more began anew; less is a frame that came late."""
+"""If timestamps go back by more than this, the clock restarted; by less, the frame was late."""
 MAX_SPEED_M_S = 3.0
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -44,8 +44,8 @@ class Moment(NamedTuple):
     Attributes:
         time_s: on the clock of the frames.
         position, quat: ``(D, 3)``, ``(D, 4)``.
-        present: ``(D,)`` bool, which report; the others are made up.
-        fresh: whether nothing before it counts: the avatar is set up anew.
+        present: ``(D,)`` bool, devices that report; the poses of others are estimated.
+        fresh: whether a new stream starts here: the avatar is set up again.
     """
 
     time_s: float
@@ -56,11 +56,11 @@ class Moment(NamedTuple):
 
 
 class Alignment(NamedTuple):
-    """A turn about the vertical and a shift, from the user's space to the avatar's.
+    """A rotation about the vertical and a shift, from the user's space to the avatar's.
 
     Attributes:
         yaw: radians.
-        shift: ``(3,)`` metres, after the turn.
+        shift: ``(3,)`` metres, after the rotation.
     """
 
     yaw: float
@@ -82,15 +82,15 @@ class Bridge:
 
     Args:
         names: ``D`` devices, the headset first.
-        rate_hz: moments a second.
-        height_m: the user's stature: where hands hang.
-        carry: whether the user's space is moved when the headset jumps; otherwise the avatar
-            begins anew.
+        rate_hz: moments per second.
+        height_m: the user's stature, which gives the place of hanging hands.
+        carry: whether the user's space is moved when the headset jumps; otherwise the avatar is
+            set up again.
 
     Attributes:
         alignment: from the user's space to the avatar's.
-        events: what happened, in words; the caller empties it.
-        late: how many frames were dropped because they were older than the last one.
+        events: messages about events; the caller clears the list.
+        late: number of frames dropped because they were older than the last one.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class Bridge:
         return speed * min(1.0, MAX_SPEED_M_S / max(float(np.linalg.norm(speed)), 1e-9))
 
     def push(self, frame: DeviceFrame) -> list[Moment]:
-        """The moments that are due once ``frame`` is there, those of ``BRIDGE_S`` at most."""
+        """The moments due after ``frame`` arrives, for at most ``BRIDGE_S``."""
         last = self._last
         if last is not None and frame.time_s <= last.time_s:
             if last.time_s - frame.time_s <= CLOCK_BACK_S:
@@ -150,7 +150,7 @@ class Bridge:
                 return self._first(frame)
             self._realign(last, frame)
             position, quat, present = self._arrays(frame)
-        elif away > step:  # it was silent for a moment
+        elif away > step:  # it did not report for a moment
             self._ease_from(last, position, quat)
         position, quat = self._slipped(position, quat, step)
         position, quat = self._silent.filled(position, quat, present, step)
@@ -159,7 +159,7 @@ class Bridge:
         return self._go_on(last, now, step)
 
     def _first(self, frame: DeviceFrame) -> list[Moment]:
-        """Begin anew, once there is a headset."""
+        """Restart as soon as the headset reports."""
         if "headset" not in frame.poses:
             self._last = None
             return []
@@ -174,11 +174,11 @@ class Bridge:
         return [now]
 
     def _begin_clock(self, time_s: float) -> None:
-        """Moments come at the fixed rate after this time."""
+        """Start the fixed-rate moments after this time."""
         self._origin_s, self._count = time_s, 1
 
     def _go_on(self, last: Moment, now: Moment, step: float) -> list[Moment]:
-        """Moments after ``last`` up to ``now``; none of a gap that is too long to be bridged."""
+        """Moments after ``last`` up to ``now``; none for a gap too long to bridge."""
         self._last = now
         if step > BRIDGE_S:
             self._begin_clock(now.time_s)
@@ -191,7 +191,7 @@ class Bridge:
         return out
 
     def _arrays(self, frame: DeviceFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Poses in the avatar's space, and who reports."""
+        """Poses in the avatar's space, and which devices report."""
         count = len(self._names)
         position, quat = np.zeros((count, 3)), np.zeros((count, 4))
         quat[:, 0] = 1.0
@@ -203,17 +203,17 @@ class Bridge:
         return *self.alignment.apply(position, quat), present
 
     def _realign(self, last: Moment, frame: DeviceFrame) -> None:
-        """Choose the alignment that leaves the headset where and as it was seen last."""
+        """Choose the alignment that keeps the headset at its last pose."""
         pose = frame.poses["headset"]
         yaw = _yaw_between(pose.quat, last.quat[0])
         shift = last.position[0] - rot.quat_rotate(rot.yaw_quat(np.array(yaw)), pose.position)
         if abs(shift[2] - self.alignment.shift[2]) < JUMP_M:
-            shift[2] = self.alignment.shift[2]  # the floor is where it was
+            shift[2] = self.alignment.shift[2]  # the floor does not move
         self.alignment = Alignment(yaw, shift)
         self.events.append("the headset jumped: the avatar is carried along")
 
     def _ease_from(self, last: Moment, position: np.ndarray, quat: np.ndarray) -> None:
-        """Let the user glide from where they were seen last to where they are."""
+        """Blend from the user's last pose to the present one."""
         self._slip = last.position[0] - position[0]
         self._slip_yaw = _yaw_between(quat[0], last.quat[0])
         self._slip_share = 1.0
@@ -221,7 +221,7 @@ class Bridge:
     def _slipped(
         self, position: np.ndarray, quat: np.ndarray, step: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Poses moved and turned about the headset by what is left to glide."""
+        """Poses moved and rotated about the headset by the rest of the blend."""
         if self._slip_share == 0.0:
             return position, quat
         share = _smooth(self._slip_share)
@@ -235,7 +235,7 @@ class Bridge:
 
 
 class SilentDevices:
-    """Makes up the poses of devices that do not report, relative to the headset.
+    """Estimates the poses of devices that do not report, relative to the headset.
 
     Args:
         names: ``D`` devices, the headset first.
@@ -253,32 +253,32 @@ class SilentDevices:
     def begin(
         self, position: np.ndarray, quat: np.ndarray, present: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Poses of the first moment: who is silent hangs at the side."""
+        """Poses of the first moment; controllers that do not report hang at the side."""
         self._silent_s[:], self._eased[:] = np.inf, 1.0
         return self.filled(position, quat, present, 0.0)
 
     def filled(
         self, position: np.ndarray, quat: np.ndarray, present: np.ndarray, step: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Poses ``(D, 3)``, ``(D, 4)`` of all; those of silent devices in are not read.
+        """Poses ``(D, 3)``, ``(D, 4)`` of all devices; inputs of absent ones are not read.
 
         Args:
             position, quat: as reported.
-            present: ``(D,)`` bool; the headset is.
+            present: ``(D,)`` bool; True for the headset.
             step: seconds since the moment before.
         """
         head, turn = position[0], rot.yaw_quat(rot.heading(quat[0]))
         sunk = _smooth(np.clip((self._silent_s - HOLD_S) / SINK_S, 0.0, 1.0))[:, None]
         made = head + rot.quat_rotate(turn, (1.0 - sunk) * self._held + sunk * self._rest)
         made_quat = rot.quat_multiply(turn, _blend(self._held_quat, IDENTITY, sunk))
-        # Who comes back is eased in from where it had sunk to.
+        # A returning device is blended in from its estimated pose.
         self._silent_s += np.where(present, 0.0, step)
         self._eased = np.where(present, np.minimum(self._eased + step / EASE_S, 1.0), 0.0)
         share = _smooth(self._eased)[:, None]
         out = share * position + (1.0 - share) * made
         out_quat = _blend(made_quat, quat, share)
         back = rot.quat_conjugate(turn)
-        # What is made up of is kept until a device is fully back.
+        # The estimate's state is kept until the device is fully blended in.
         whole = self._eased >= 1.0
         self._held[whole] = rot.quat_rotate(back, out - head)[whole]
         self._held_quat[whole] = rot.quat_multiply(back, out_quat)[whole]
@@ -299,12 +299,12 @@ def _blend(a: np.ndarray, b: np.ndarray, share: float | np.ndarray) -> np.ndarra
 
 
 def _yaw_between(a: np.ndarray, b: np.ndarray) -> float:
-    """Turn about the vertical from one orientation to another, -pi to pi."""
+    """Rotation about the vertical from one orientation to another, -pi to pi."""
     turn = float(rot.heading(b) - rot.heading(a))
     return float(np.arctan2(np.sin(turn), np.cos(turn)))
 
 
 def _smooth(share: np.ndarray | float) -> np.ndarray:
-    """From 0 to 1 without a jerk at the ends."""
+    """A smooth step from 0 to 1 with zero slope at the ends."""
     share = np.asarray(share, float)
     return share * share * (3.0 - 2.0 * share)

@@ -1,13 +1,13 @@
-"""What a user's devices tell about the user while they stand still: stature, floor, mounts.
+"""Calibration: estimate a standing user's stature, floor and device mounts.
 
 The user stands upright for three seconds, looks straight ahead and lets the arms hang (or holds
-them apart in an A). Of the body nothing is known but the avatar's proportions:
+them apart in an A-pose). The body is assumed to have the avatar's proportions:
 
 - stature: the headset's height over the floor, divided by ``EYE_RATIO``, as QuestSim (section 3.6)
   scales by the headset's height;
-- heading: across the line between the controllers, or where the headset looks;
-- mount of each controller: what turns and moves its reported pose to where the avatar would carry
-  one in that pose, see ``arms``.
+- heading: perpendicular to the line between the controllers, or the headset's direction;
+- mount of each controller: the transform from its reported pose to the avatar's controller in the
+  same pose, see ``arms``.
 """
 
 from __future__ import annotations
@@ -38,30 +38,30 @@ Control of Human Movement", fig. 4.1. The avatar carries its headset at 0.9357.
 """
 LEAST_S, LEAST_FRAMES = 1.0, 20
 STILL_M, STILL_DEG = 0.06, 12.0
-"""A headset that strays further from its median did not stand still."""
+"""Largest distance in m of a still headset from its median position."""
 FLOOR_OFF_M = 0.15
-"""Given a stature, a headset further than this from its height means another floor than z = 0."""
+"""With a given stature: a headset further than this from its height means a floor not at z = 0."""
 POSES: dict[str, float] = {"hanging": 8.0, "a-pose": 30.0}
-"""How many degrees the arms are apart from the body, by the name of the pose."""
+"""Angle in degrees between arms and body, by the name of the pose."""
 ARM_STD_DEG: dict[str, float] = {"hanging": 2.0, "a-pose": 4.0}
 GRIP_STD_M, SEEN_STD_M = 0.02, 0.005
-"""How much users differ in how they hold the arm and the controller, and what tracking adds."""
+"""Standard deviations: how users hold arm and controller, and tracking noise."""
 
 
 @dataclass(frozen=True)
 class Mount:
-    """From a device's reported pose to where the avatar carries one.
+    """The transform from a device's reported pose to the pose of the avatar's device.
 
     Attributes:
         offset: ``(3,)`` metres, in the axes of the reported pose.
-        turn: ``(4,)`` the carried device's orientation in the reported one.
+        turn: ``(4,)`` orientation of the avatar's device relative to the reported one.
     """
 
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     turn: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
 
     def apply(self, pose: DevicePose) -> DevicePose:
-        """The carried device's pose."""
+        """The pose of the avatar's device."""
         return DevicePose(
             pose.position + rot.quat_rotate(pose.quat, np.array(self.offset)),
             rot.quat_multiply(pose.quat, np.array(self.turn)),
@@ -70,13 +70,13 @@ class Mount:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What is known of a user and their devices.
+    """The calibration of a user and their devices.
 
     Attributes:
         height_m: stature.
         floor_m: height of the floor in the devices' space.
-        heading_rad: where the user looked, about the vertical from the x axis.
-        mounts: by device; one that is not there is carried as the avatar carries it.
+        heading_rad: the user's heading about the vertical, from the x axis.
+        mounts: by device; a device without an entry has the avatar's own mount.
     """
 
     height_m: float
@@ -93,7 +93,7 @@ class Calibration:
             )
 
     def apply(self, frame: DeviceFrame) -> DeviceFrame:
-        """The frame over a floor at z = 0, every device as the avatar carries it."""
+        """The frame with the floor at z = 0 and every device at the avatar's mount."""
         floor = np.array([0.0, 0.0, self.floor_m])
         poses = {}
         for name, pose in frame.poses.items():
@@ -108,10 +108,10 @@ class Calibration:
 
     @staticmethod
     def load(path: Path) -> Calibration:
-        """Read what ``save`` wrote.
+        """Read a file written by ``save``.
 
         Raises:
-            InputError: it is another file.
+            InputError: it is not such a file.
         """
         try:
             return Calibration.of(json.loads(path.read_text()))
@@ -147,17 +147,17 @@ def calibrate(
     floor_m: float | None = None,
     pose: str = "hanging",
 ) -> Calibration:
-    """Measure a user who stands upright and still.
+    """Calibrate on a user who stands upright and still.
 
     Args:
-        frames: of about three seconds; the headset in most of them.
-        height_m: stature, if it is known. A headset that is more than 15 cm off its height then
-            means that the space's origin is not on the floor, and says where the floor is.
+        frames: about three seconds of frames, most of them with the headset.
+        height_m: stature, if known. If the headset is then more than 15 cm off its expected
+            height, the origin is assumed not to be on the floor, and the floor height is computed.
         floor_m: height of the floor in the devices' space, if it is not 0.
         pose: ``"hanging"`` arms, or ``"a-pose"``, 30 degrees apart.
 
     Raises:
-        InputError: too few frames, a user who moves, looks aside or is of no human stature.
+        InputError: too few frames; or the user moves, looks aside or has no human stature.
     """
     if pose not in POSES:
         raise InputError(f"unknown pose {pose!r}", "calibration", f"choose from {', '.join(POSES)}")
@@ -181,7 +181,7 @@ def calibrate(
         if floor_m is None and abs(eyes - EYE_RATIO * height_m) > FLOOR_OFF_M:
             floor = eyes - EYE_RATIO * height_m
     looked = float(rot.heading(head.quat))
-    found = Calibration(height, floor, looked)  # refuses a stature that is none
+    found = Calibration(height, floor, looked)  # refuses a stature out of range
     standing = standing_clip(height)
     upright, _ = device_poses(standing.link_position[0], standing.link_quat[0], ["headset"], height)
     level = rot.quat_multiply(rot.quat_conjugate(head.quat), rot.yaw_quat(np.array(looked)))
@@ -208,10 +208,10 @@ def _mount(offset: np.ndarray, turn: np.ndarray) -> Mount:
 
 
 def _still(frames: Sequence[DeviceFrame], name: str) -> DevicePose | None:
-    """Median place and mean orientation of a device; None if it hardly reports.
+    """Median position and mean orientation of a device; None if it reports too rarely.
 
     Raises:
-        InputError: it does not keep still.
+        InputError: it moves.
     """
     seen = [(frame.time_s, frame.poses[name]) for frame in frames if name in frame.poses]
     if len(seen) < LEAST_FRAMES or seen[-1][0] - seen[0][0] < LEAST_S:
@@ -231,7 +231,7 @@ def _still(frames: Sequence[DeviceFrame], name: str) -> DevicePose | None:
 
 
 def _heading(looked: float, hands: Mapping[str, DevicePose]) -> float:
-    """Where the user faces: midway between the look and the normal of the line of the hands."""
+    """The user's heading: midway between the headset's and the normal of the line of the hands."""
     if len(hands) < 2:
         return looked
     across = hands["left"].position - hands["right"].position
@@ -249,11 +249,11 @@ def _heading(looked: float, hands: Mapping[str, DevicePose]) -> float:
 def _hand_mount(
     side: str, hand: DevicePose, height: float, spot: np.ndarray, turn: np.ndarray, pose: str
 ) -> Mount:
-    """Mount of a controller, from where and how it is while the arm hangs straight.
+    """Mount of a controller, from its pose while the arm hangs straight.
 
-    Nothing shows how far exactly the arm is from the body, nor how the controller lies in the
-    hand. Both are estimated together, each near what is usual: the arm by the name of the pose
-    within ``ARM_STD_DEG``, the controller in the fist within ``GRIP_STD_M``.
+    The exact arm angle and the grip are unknown. Both are estimated together with priors around
+    the usual values: the pose's arm angle within ``ARM_STD_DEG``, the controller in the fist
+    within ``GRIP_STD_M``.
     """
     standing = standing_clip(height)
     links, quats = standing.link_position[0], standing.link_quat[0]

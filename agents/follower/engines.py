@@ -1,10 +1,10 @@
-"""What turns devices at a fixed rate into states of the avatar: one engine a kind of agent.
+"""Engines: convert device moments at a fixed rate into avatar states, one per kind of agent.
 
 - ``TorqueEngine``: a policy that reads devices at 36 Hz, on simulated physics.
-- ``PoseEngine``: a kinematic system at 60 Hz; its poses are shown as they are.
+- ``PoseEngine``: a kinematic system at 60 Hz; its poses are shown directly.
 - ``PhysicsEngine``: a tracker follows a kinematic system's poses on simulated physics.
 
-Each takes one moment of the devices at a time, in constant time and memory.
+Each processes one moment of the devices at a time, in constant time and memory.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ from questsim.skeleton import NUM_DOFS
 
 QPOS = 7 + NUM_DOFS
 _PREFERRED = ("H+2C", "4T", "6T", "H")
-"""Sets of devices for systems that were asked for without one."""
+"""Default sensor sets of systems."""
 _TAKEN = 5
-"""Poses of which velocities and accelerations of the middle one are taken."""
+"""Number of poses from which velocity and acceleration of the middle one are computed."""
 
 
 @dataclass(frozen=True)
 class State:
-    """The avatar in one moment.
+    """The avatar's state at one moment.
 
     Attributes:
         time_s: on the clock of the devices.
@@ -68,10 +68,10 @@ class Engine(ABC):
 
     Attributes:
         names: the devices that it reads, in order.
-        rate_hz: moments of the devices a second.
-        latency_s: how much later than the newest moment its states can be, interpolated.
-        physics: whether it can fall.
-        height_m: the avatar's stature, once there is one.
+        rate_hz: device moments per second.
+        latency_s: delay of its interpolated states behind the newest moment.
+        physics: whether the avatar is simulated and can fall.
+        height_m: the avatar's stature, once it is set.
     """
 
     names: tuple[str, ...]
@@ -83,10 +83,10 @@ class Engine(ABC):
     _assist: Assist | None = None
 
     def set_assist(self, bound_n: float) -> None:
-        """Let a force of at most so many newtons help; 0 for none.
+        """Set the largest assisting force in newtons; 0 for none.
 
         Raises:
-            InputError: there is no physics to help, or the force is out of range.
+            InputError: the engine has no physics, or the force is out of range.
         """
         if bound_n and not self.physics:
             raise InputError("poses without physics need no assist", "assist", "leave it out")
@@ -97,11 +97,11 @@ class Engine(ABC):
 
     @abstractmethod
     def build(self, height_m: float) -> None:
-        """Make an avatar of that stature; nothing is shown yet."""
+        """Create an avatar of that stature; nothing is shown yet."""
 
     @abstractmethod
     def begin(self, position: np.ndarray, quat: np.ndarray) -> None:
-        """A stream begins with devices at ``(D, 3)``, ``(D, 4)``; nothing was before."""
+        """Start a new stream with devices at ``(D, 3)``, ``(D, 4)``."""
 
     @abstractmethod
     def put(self, qpos: np.ndarray, velocity: np.ndarray) -> None:
@@ -111,17 +111,17 @@ class Engine(ABC):
     def feed(
         self, time_s: float, position: np.ndarray, quat: np.ndarray, present: np.ndarray
     ) -> State | None:
-        """One moment of the devices later; the new state, or None where it is not its turn.
+        """Process the next moment of the devices; the new state, or None if none is due.
 
         Args:
             time_s: of this moment.
             position, quat: ``(D, 3)`` and ``(D, 4)`` of the devices.
-            present: ``(D,)`` bool; poses of devices that do not report are made up.
+            present: ``(D,)`` bool; poses of devices that do not report are estimated.
         """
 
     @abstractmethod
     def user_devices(self) -> tuple[np.ndarray, np.ndarray]:
-        """What the devices reported at the time of the avatar's present."""
+        """The device poses at the time of the avatar's present state."""
 
 
 class TorqueEngine(Engine):
@@ -129,12 +129,12 @@ class TorqueEngine(Engine):
 
     Args:
         agent: reads devices, not the full body.
-        sensors: name of the set of devices; by default what the agent was made for.
+        sensors: name of the sensor set; by default the one that the agent was trained with.
         assist_n: bound of the assisting force, 0 for none.
         terrain: the ground, None for a plane.
 
     Raises:
-        InputError: the agent reads what no device reports.
+        InputError: the agent has inputs that no device reports.
     """
 
     rate_hz, physics = FPS, True
@@ -216,10 +216,10 @@ def stepped(
     """One step of physics under an agent's torques and the assist.
 
     Args:
-        sim: its window has been moved on.
-        agent: bound to it.
-        assist: of it.
-        headset: ``(3,)``, ``(4,)`` where the user's is at the avatar's present, in the world.
+        sim: the simulation, with its window already advanced.
+        agent: bound to ``sim``.
+        assist: the assist of ``sim``.
+        headset: ``(3,)``, ``(4,)`` world pose of the user's headset at the avatar's present.
         time_s: of the state after the step.
     """
     apart = float(np.linalg.norm(headset[0] - headsets(sim)[0]))
@@ -268,10 +268,10 @@ class PoseEngine(Engine):
         self._user = position, quat
 
     def put(self, qpos: np.ndarray, velocity: np.ndarray) -> None:
-        """Nothing to do: the next pose is the system's."""
+        """Does nothing: the next pose is the system's."""
 
     def user_devices(self) -> tuple[np.ndarray, np.ndarray]:
-        """See ``Engine``; the newest ones, which the system's delay does not matter to."""
+        """See ``Engine``; the newest poses, independent of the system's delay."""
         return self._user
 
     def feed(
@@ -287,7 +287,7 @@ class PoseEngine(Engine):
 
 
 class SystemPoses:
-    """What a kinematic system makes of a stream of devices, on the user's own bones.
+    """Runs a kinematic system on a device stream, with the user's bones.
 
     Args:
         system: the system.
@@ -302,13 +302,13 @@ class SystemPoses:
         self.reset()
 
     def reset(self) -> None:
-        """The system forgets; another stream begins."""
+        """Reset the system for a new stream."""
         self._system.reset(UserBody.of(self._user), self._names)
         self._retarget.reset()
         self._count = 0
 
     def feed(self, position: np.ndarray, quat: np.ndarray, present: np.ndarray) -> Motion:
-        """The pose (of one frame) after one more moment of the devices."""
+        """The pose (one frame) after the next moment of the devices."""
         if self._system.interpolates_dropouts or not self._count:
             present = np.ones(len(self._names), bool)
         frame = SensorFrame(
@@ -328,7 +328,7 @@ class PhysicsEngine(Engine):
     Args:
         system: reads devices at 60 Hz.
         tracker: reads a full-body reference, at 36 Hz.
-        sensors, assist_n: as of the other engines.
+        sensors, assist_n: as in the other engines.
 
     Raises:
         InputError: the system cannot use these devices, or they are IMUs.
@@ -353,8 +353,8 @@ class PhysicsEngine(Engine):
             privileged=needs.privileged,
             body_preset=needs.body_preset,
         )
-        # The reference of a frame takes one more for its velocity; a step gives one back; frames of
-        # 60 and of 36 Hz do not meet; and states are interpolated.
+        # Sources of delay: the velocity of a reference frame needs the next one (the step wins one
+        # back), frames of 60 and 36 Hz do not coincide, and states are interpolated.
         self._late = system.future_frames / SENSOR_FPS
         self.latency_s = AHEAD / FPS + 1.0 / SENSOR_FPS + self._late
 
@@ -378,7 +378,7 @@ class PhysicsEngine(Engine):
         self._blend = 0
 
     def put(self, qpos: np.ndarray, velocity: np.ndarray) -> None:
-        """See ``Engine``; what is shown goes over from this pose to the system's."""
+        """See ``Engine``; the reference blends from this pose to the system's."""
         self._sim.put(qpos, velocity)
         self._agent.reset(1)
         assert self._assist is not None
@@ -414,7 +414,7 @@ class PhysicsEngine(Engine):
         return stepped(self._sim, self._agent, self._assist, headset, time_s)
 
     def _show(self, qpos: np.ndarray) -> None:
-        """Move the tracker's window on, by the last pose that has both neighbours."""
+        """Advance the tracker's window by the last pose that has both neighbours."""
         if self._blend:
             share = 1.0 - self._blend / (BEGINNING_FRAMES + 1)
             qpos = between_qpos(self._start, qpos, share)
@@ -428,7 +428,7 @@ class PhysicsEngine(Engine):
 
 
 def live_set(system: KinematicSystem, sensors: str | None) -> tuple[str, ...]:
-    """Devices that a system is used with on a live stream.
+    """The devices used with a system on a live stream.
 
     Raises:
         InputError: it cannot use them, or they are IMUs, which no headset has.
@@ -454,7 +454,7 @@ def _fits(system: KinematicSystem, sensors: str) -> bool:
 
 
 def between_poses(a: Motion, b: Motion, share: float) -> Motion:
-    """A pose (one frame) between two of the same person."""
+    """Interpolate two poses (one frame each) of the same person."""
     sign = np.where((a.rotations * b.rotations).sum(-1, keepdims=True) < 0.0, -1.0, 1.0)
     turn = (1.0 - share) * a.rotations + share * sign * b.rotations
     turn /= np.linalg.norm(turn, axis=-1, keepdims=True)
@@ -468,7 +468,7 @@ def resting_state(time_s: float, qpos: np.ndarray) -> State:
 
 
 def between_states(a: State, b: State, time_s: float) -> State:
-    """The state at a time between those of two."""
+    """Interpolate two states at a time between them."""
     share = (time_s - a.time_s) / (b.time_s - a.time_s)
 
     def mix(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -485,7 +485,7 @@ def between_states(a: State, b: State, time_s: float) -> State:
 
 
 def between_qpos(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
-    """A pose ``(40,)`` between two: positions and angles on lines, the root's turn as well."""
+    """Interpolate two poses ``(40,)``: positions and angles linearly, the root's rotation too."""
     out = (1.0 - share) * a + share * b
     sign = -1.0 if a[3:7] @ b[3:7] < 0.0 else 1.0
     out[3:7] = (1.0 - share) * a[3:7] + share * sign * b[3:7]

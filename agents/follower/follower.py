@@ -1,4 +1,4 @@
-"""``Follower``: from poses of a user's devices to poses of the avatar, frame by frame."""
+"""``Follower``: converts a user's device poses to avatar poses, frame by frame."""
 
 from __future__ import annotations
 
@@ -36,33 +36,32 @@ from questsim.motion.kinematics import standing_clip
 from questsim.skeleton import NUM_LINKS
 
 LOST_M, LOST_S = 0.6, 0.3
-"""An avatar whose head is this far from its user's for this long has fallen: it is set up again."""
+"""An avatar whose head is this far from its user's for this long has fallen and is set up again."""
 _KEPT = 32
 
 
 class Follower:
     """An avatar that follows a stream of devices, in constant time and memory a frame.
 
-    Torque policies, kinematic systems and kinematic systems with physics behind them are used
-    alike. Call ``calibrate`` once (or give a stature), then ``step`` with every frame.
+    Torque policies and kinematic systems with or without physics are used in the same way. Call
+    ``calibrate`` once (or give a stature), then ``step`` with every frame.
 
     Args:
         agent: the name of a shipped policy or system (``questsim``, ``questsim-now``,
             ``hmdposer``, ``hmdposer+physics``), a checkpoint or run folder, or a loaded one.
-        sensors: name of the set of devices; by default the agent's own.
-        height_m: the user's stature, where it is known.
-        assist_n: greatest force in N that may help the avatar's balance from outside, see
-            ``envs.assist``; 0 for honest physics.
+        sensors: name of the sensor set; by default the agent's own.
+        height_m: the user's stature, if known.
+        assist_n: largest external assisting force in N, see ``envs.assist``; 0 for none.
         terrain: the ground under the avatar; None for a plane.
 
     Attributes:
-        calibration: of the user; None before one is there.
+        calibration: the user's calibration; None before calibration.
         names: the devices that are read.
-        latency_s: how much older than the newest frame a pose is: the window of future frames
-            that the agent reads, and what interpolation takes.
+        latency_s: delay of a pose behind the newest frame: the agent's window of future frames
+            plus the delay of interpolation.
 
     Raises:
-        InputError: there is no such agent, or it cannot be used with these devices.
+        InputError: no such agent, or it cannot be used with these devices.
     """
 
     def __init__(
@@ -98,17 +97,17 @@ class Follower:
         floor_m: float | None = None,
         pose: str = "hanging",
     ) -> Calibration:
-        """Get to know a user who stands still and upright for about three seconds.
+        """Calibrate on a user who stands still and upright for about three seconds.
 
-        See ``calibration.calibrate`` for the arguments and errors; the avatar begins anew with the
-        next ``step``.
+        See ``calibration.calibrate`` for the arguments and errors. The next ``step`` sets the
+        avatar up again.
         """
         calibration = calibrate(frames, height_m=height_m, floor_m=floor_m, pose=pose)
         self.use(calibration)
         return calibration
 
     def use(self, calibration: Calibration) -> None:
-        """Take up a calibration that was made before; the avatar begins anew."""
+        """Use an existing calibration; the avatar is set up again."""
         height = round(calibration.height_m, 4)
         self._engine.build(height)
         self._model = build_body(height).model
@@ -117,7 +116,7 @@ class Follower:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the stream; the next frame is the first of another."""
+        """Reset; the next frame is the first of a new stream."""
         assert self.calibration is not None
         engine = self._engine
         self._bridge = Bridge(engine.names, engine.rate_hz, engine.height_m, self._carry)
@@ -126,20 +125,20 @@ class Follower:
         self._lost_s = 0.0
 
     def step(self, frame: DeviceFrame) -> AvatarPose:
-        """Take in one frame of the devices.
+        """Process one frame of the devices.
 
-        Frames may come at any rate from 36 Hz on, irregularly, late, twice or not at all; devices
-        may be missing. ``agents.follower.bridge`` says what is made of that. The avatar begins
-        where the user is; before the headset has reported it stands at the origin.
+        Frames may arrive at any rate from 36 Hz, irregularly, late, twice or not at all, and
+        devices may be missing; see ``agents.follower.bridge``. The avatar starts at the user's
+        place; before the headset reports, it stands at the origin.
 
         Args:
-            frame: in our convention, see ``DeviceFrame.of``.
+            frame: in this project's axes, see ``DeviceFrame.of``.
 
         Returns:
-            The avatar ``latency_s`` before the frame, interpolated to that very moment.
+            The avatar ``latency_s`` before the frame, interpolated to exactly that time.
 
         Raises:
-            InputError: nothing is known of the user yet.
+            InputError: the user's stature is not known yet.
         """
         if self.calibration is None:
             raise InputError(
@@ -170,7 +169,7 @@ class Follower:
             self._states.append(state)
 
     def _set_up(self, time_s: float, velocity: np.ndarray) -> None:
-        """Put the avatar where its user seems to be; what was before is not interpolated with."""
+        """Place the avatar at the user's estimated pose; never interpolate with earlier states."""
         engine = self._engine
         position, quat = engine.user_devices()
         qpos = estimated_pose(engine.names, position, quat, engine.height_m)
@@ -180,7 +179,7 @@ class Follower:
         self._lost_s = 0.0
 
     def _pose_at(self, time_s: float) -> AvatarPose:
-        """The pose at a time, as far as there are states about it."""
+        """The pose at a time, or at the nearest available state."""
         events = (*self._bridge.events, *self._events)
         self._bridge.events.clear()
         self._events.clear()
@@ -224,7 +223,7 @@ def engine_of(
     assist_n: float,
     terrain: Terrain | None,
 ) -> Engine:
-    """The engine of an agent, loaded by its name if it is one.
+    """The engine of an agent; a name is loaded first.
 
     Raises:
         InputError: see ``Follower``.

@@ -1,4 +1,4 @@
-"""``questsim replay`` and ``questsim recordings show``: recordings drive the avatar."""
+"""``questsim replay`` and ``questsim recordings show``: drive the avatar by recordings."""
 
 from __future__ import annotations
 
@@ -26,31 +26,31 @@ from questsim.recordings import Recording, read_recording
 from questsim.stream_metrics import Track, stream_scores, track_of
 
 CALIBRATION_S = 3.0
-"""Without a calibration, and unless told otherwise, this much of a recording's beginning is one."""
+"""Default length in s of the calibration at the start of a recording without one."""
 MOTION_SUFFIXES = tuple(f".{name}" for name in FORMATS)
 
 
 @dataclass(frozen=True)
 class FollowArgs:
-    """What drives the avatar, and what is known of the user."""
+    """Options of the recording, the agent and the user."""
 
     file: Annotated[Path, tyro.conf.Positional]
     """The recording: ours (.jsonl.gz), iwer's (.json), or a .csv with --convention."""
     agent: str = "questsim"
-    """A policy, a kinematic system, or one with +physics after its name."""
+    """A policy, or a kinematic system, optionally followed by +physics."""
     sensors: str | None = None
-    """Set of devices, e.g. H+2C or H; by default the agent's own."""
+    """Sensor set, e.g. H+2C or H; by default the agent's own."""
     convention: str | None = None
     """Axes of a CSV file: openxr, steamvr, unity, unreal or questsim."""
     height: float | None = None
-    """Stature of the user in metres; by default measured."""
+    """Stature of the user in metres; by default from the calibration."""
     pose: str = "hanging"
     """How the user stands during the calibration: hanging or a-pose."""
     calibrate: float = CALIBRATION_S
-    """The first so many seconds are the calibration, unless the file has one; 0 for none, with
-    --height."""
+    """Calibrate on this many seconds at the start, unless the file has a calibration; 0 for none,
+    which needs --height."""
     assist: float = 0.0
-    """Greatest force in N that may help the avatar's balance."""
+    """Largest assisting force in N on the avatar."""
 
 
 @dataclass(frozen=True)
@@ -63,17 +63,17 @@ class ReplayArgs(FollowArgs):
 
 @dataclass(frozen=True)
 class ShowRecordingArgs(FollowArgs):
-    """Say what a recording holds, replay it and plot signals and contacts."""
+    """Describe a recording, replay it and plot signals and contacts."""
 
     out: Path = Path("shown")
     """The folder for the PNG and the scores."""
 
 
 def replay(args: ReplayArgs) -> None:
-    """Replay a recording and print what came of it.
+    """Replay a recording and print the result.
 
     Raises:
-        InputError: a recording, agent or option that cannot be used.
+        InputError: a recording, agent or option cannot be used.
     """
     if args.out is not None:
         if args.out.suffix.lower() not in (".json", ".mp4", *MOTION_SUFFIXES):
@@ -95,10 +95,10 @@ def replay(args: ReplayArgs) -> None:
 
 
 def show_recording(args: ShowRecordingArgs) -> None:
-    """Print what is in a recording, and write OUT/NAME.png and OUT/NAME.json.
+    """Describe a recording, and write OUT/NAME.png and OUT/NAME.json.
 
     Raises:
-        InputError: a recording, agent or option that cannot be used.
+        InputError: a recording, agent or option cannot be used.
     """
     from questsim.stream_plots import plot_signals
 
@@ -120,7 +120,7 @@ def show_recording(args: ShowRecordingArgs) -> None:
 
 
 def followed(args: FollowArgs, recording: Recording | None = None) -> Track:
-    """What the avatar does on a recording, after its calibration.
+    """The avatar's motion on a recording, after the calibration.
 
     Raises:
         InputError: see ``replay``.
@@ -144,17 +144,17 @@ def calibrated(
     height_m: float | None = None,
     pose: str = "hanging",
 ) -> Sequence[DeviceFrame]:
-    """Calibrate a follower by a recording; returns the frames that are to be followed.
+    """Calibrate a follower by a recording; returns the frames to follow.
 
     Args:
-        follower: gets the calibration that the recording has, or one of its first seconds.
-        recording: frames.
-        seconds: of the calibration; 0 for none, which needs a stature.
-        height_m: stature, if it is known.
+        follower: gets the recording's calibration, or one from its first seconds.
+        recording: the frames.
+        seconds: length of the calibration; 0 for none, which needs a stature.
+        height_m: stature, if known.
         pose: see ``calibrate``.
 
     Raises:
-        InputError: the user does not stand still, or nothing says how tall they are.
+        InputError: the user does not stand still, or the stature is unknown.
     """
     frames = recording.frames
     if recording.calibration is not None and height_m is None:
@@ -176,7 +176,7 @@ def replayed(follower: Follower, frames: Sequence[DeviceFrame]) -> list[AvatarPo
 
 
 def write_scores(path: Path, args: FollowArgs, track: Track) -> None:
-    """Write scores, events and what they are of as JSON."""
+    """Write scores, events and their source as JSON."""
     content = {
         "format": "questsim-stream-scores",
         "version": 1,
@@ -201,7 +201,7 @@ def _print(scores: dict[str, float | int | None], track: Track) -> None:
 
 
 def performed_clip(track: Track, name: str) -> Clip:
-    """What the avatar did, as a clip at 36 Hz."""
+    """The avatar's motion as a clip at 36 Hz."""
     return clip_from_qpos(name, track.qpos, track.height_m)
 
 

@@ -1,4 +1,4 @@
-"""A pose for a user of whom only the devices are known: where the avatar begins."""
+"""The avatar's initial pose, estimated from the device poses alone."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from questsim.skeleton import FEET, LINKS
 
 ITERATIONS, STEP_S = 40, 0.15
 POSTURE_COST = 0.02
-"""Of each joint's angle against standing upright, beside 5 a metre of the feet."""
+"""Cost of each joint's deviation from standing upright; the feet's cost is 5 per metre."""
 _COSTS = {"head": (5.0, 2.0), "pelvis": (5.0, 1.0)}
 _HAND_COSTS, _FOOT_COSTS = (3.0, 0.5), (5.0, 2.0)
 LOWEST_SHARE = 0.35
-"""The headset is taken to be at least at this share of its height while standing."""
+"""Lowest assumed headset height, as a share of its standing height."""
 
 
 def estimated_pose(
     names: Sequence[str], position: np.ndarray, quat: np.ndarray, height_m: float
 ) -> np.ndarray:
-    """A pose whose devices are where the user's are, on both feet, by inverse kinematics.
+    """A pose on both feet that matches the user's device poses, by inverse kinematics.
 
-    Feet stand flat and parallel below the head, turned with its heading: what a user does with
-    them is not known.
+    The real foot poses are unknown: the feet stand flat and parallel below the head, in its
+    heading.
 
     Args:
         names: ``D`` devices, the headset among them.
@@ -59,7 +59,7 @@ def estimated_pose(
     qpos[2] -= upright[0, 2] - min(position[headset, 2], upright[0, 2])
     qpos[3:7] = turn
     start = qpos.copy()
-    for side in ("left", "right"):  # straight limbs are where a solver gets stuck
+    for side in ("left", "right"):  # straight limbs are singular
         for hinge, angle in {
             "hip_y": -0.2,
             "knee_y": 0.4,

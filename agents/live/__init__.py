@@ -1,1 +1,1 @@
-"""Simulations to watch while they run: the demo, and policies while they learn."""
+"""Live simulations in the browser: the demo, and policies in training."""

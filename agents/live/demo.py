@@ -40,28 +40,28 @@ from questsim.viewing.page_server import DEFAULT_PORT, LOOPBACK
 
 FIRST_CLIP = "synthetic-walk-1.3"
 MOST_CLIPS = 80
-"""More would make the list of clips on the page too long to choose from."""
+"""Largest number of clips in the page's list."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WatchArgs:
-    """What every page can be told to begin with, and where it is."""
+    """Initial settings and address of every page."""
 
     clip: str | None = None
-    """The clip to begin with; by default a walk, or the first of the motions."""
+    """The first clip; by default a walk, or the first of the motions."""
     terrain: str = "flat"
     """The ground: flat, rough, waves, slope, stairs, steps or gaps."""
     roughness: float = 1.0
     """Multiplies the terrain's relief: 1 is ±4 cm on rough ground, slopes of 8 degrees."""
     object: str | None = None
-    """An object in the way: none, ball, box, hurdle or chair; by default a chair where a clip
-    that is seated sits, and none for others."""
+    """An object on the path: none, ball, box, hurdle or chair; by default a chair for seated clips
+    and none for others."""
     height: float = DEFAULT_HEIGHT_M
     """Stature of the user in metres."""
     avatar_height: float | None = None
-    """Stature of the avatar in metres, if it is not its user's: the devices are scaled to it."""
+    """Stature of the avatar in metres if it differs from its user; device signals are scaled."""
     host: str = LOOPBACK
-    """Where to listen; anything else than the default lets others watch and control."""
+    """Address to listen on; any other than the default lets others watch and control."""
     port: int = DEFAULT_PORT
     """The page's port; 0 takes any free one."""
 
@@ -71,8 +71,8 @@ class DemoArgs(WatchArgs):
     """Watch a shipped policy or kinematic system follow a user, in a browser or on video."""
 
     agent: str = DEFAULT_POLICY
-    """To begin with: the name of a shipped policy or kinematic system, a run or checkpoint folder,
-    ik, zero, random, or package.module:Class; a kinematic system also with +physics."""
+    """First agent: the name of a shipped policy or kinematic system, a run or checkpoint folder,
+    ik, zero, random, or package.module:Class; or a kinematic system followed by +physics."""
     motions: str = "synthetic"
     """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
     terrain: str = "rough"
@@ -84,26 +84,26 @@ class DemoArgs(WatchArgs):
     seconds: float = 15.0
     """Length of the video."""
     push: float = 40.0
-    """Force in newtons of the pushes in the video; 0, and without physics, for none."""
+    """Push force in newtons in the video; 0 for none. Agents without physics are not pushed."""
     seed: int = 0
-    """Of the embedded motions."""
+    """Seed of the embedded motions."""
 
 
 @dataclass(frozen=True)
 class PlayArgs(WatchArgs):
-    """Watch the newest policy or kinematic system of a training, while it learns."""
+    """Watch the newest policy or kinematic system of a running training."""
 
     run: Annotated[Path, tyro.conf.Positional]
-    """A run folder, a stage in it, or a checkpoint folder; the first checkpoint is waited for."""
+    """A run folder, a stage in it, or a checkpoint folder; waits for the first checkpoint."""
     motions: str | None = None
-    """What to follow; by default what the run is trained on."""
+    """Motions to follow; by default the training motions of the run."""
 
 
 def demo(args: DemoArgs) -> None:
     """Serve the page until Ctrl-C, or write the video.
 
     Raises:
-        InputError: an agent, motions, clip, setting or address that cannot be used.
+        InputError: an agent, motions, clip, setting or address cannot be used.
     """
     at_least(0, seed=args.seed)
     torch.set_num_threads(1)
@@ -111,7 +111,7 @@ def demo(args: DemoArgs) -> None:
         _write_video(args, args.video)
         return
     with Page(args.host, args.port) as page:
-        # The page is there before the motions are, and says so.
+        # The page opens before the motions are loaded and shows that it is loading.
         _announce(page)
         watch(page, demo_session(args))
 
@@ -130,7 +130,7 @@ def play(args: PlayArgs) -> None:
         _announce(page)
         clips = _clips(motions, args.clip)
         recordings = Recordings(motions, clips)
-        checkpoint = first_checkpoint(args.run)  # a newer one may have come meanwhile
+        checkpoint = first_checkpoint(args.run)  # a newer one may exist by now
         driver, note = load_checkpoint(args.run, checkpoint, recordings)
         settings = _settings(args, clips, name)
         session = DemoSession(clips, drivers_beside(name, driver, recordings), settings)
@@ -150,7 +150,7 @@ def _announce(page: Page) -> None:
 
 
 def watch(page: Page, session: DemoSession, stop: threading.Event | None = None) -> None:
-    """Run a session in real time and show it until ``stop`` or the simulation's failure."""
+    """Run a session in real time and show it until ``stop`` is set or the simulation fails."""
     stop = stop or threading.Event()
     with Runner(session, stop) as runner:
         page.watch(session, stop)
@@ -159,14 +159,14 @@ def watch(page: Page, session: DemoSession, stop: threading.Event | None = None)
 
 
 def demo_session(args: DemoArgs) -> DemoSession:
-    """A session with all that is shipped, the baselines and one agent more, if it is another."""
+    """A session with all shipped agents, the baselines and the given agent."""
     clips = _clips(args.motions, args.clip, args.seed)
     drivers = available_drivers(Recordings(args.motions, clips, args.seed), args.agent)
     return DemoSession(clips, drivers, _settings(args, clips, args.agent))
 
 
 def _settings(args: WatchArgs, clips: Sequence[Clip], agent: str) -> Settings:
-    """What a session begins with."""
+    """Initial settings of a session."""
     known = {clip.name: clip for clip in clips}
     first = args.clip or (FIRST_CLIP if FIRST_CLIP in known else next(iter(known)))
     needed = needed_thing(known[first]) if first in known else NOTHING
@@ -183,7 +183,7 @@ def _settings(args: WatchArgs, clips: Sequence[Clip], agent: str) -> Settings:
 
 
 def _clips(motions: str, wanted: str | None, seed: int = 0) -> Sequence[Clip]:
-    """Clips of every kind of motion, not more than a list can show; the wanted one among them."""
+    """Clips of every kind of motion, at most ``MOST_CLIPS``, including the wanted one."""
     from questsim.motion.spec import load_motions
 
     clips = load_motions(motions, seed=seed)
@@ -198,13 +198,13 @@ def _clips(motions: str, wanted: str | None, seed: int = 0) -> Sequence[Clip]:
 def available_drivers(
     recording: Callable[[str], Motion], first: str | None = None
 ) -> Mapping[str, Callable[[], Driver]]:
-    """What can move the avatar, by name: ``first``, then what is shipped, then the baselines.
+    """Loaders of drivers by name: ``first``, then the shipped agents, then the baselines.
 
-    Nothing is loaded before it is asked for.
+    A driver is loaded when it is first used.
 
     Args:
         recording: see ``load_driver``.
-        first: one more agent, if it is not among them.
+        first: an additional agent, if it is not among the others.
     """
     names = [
         *([first] if first else []),
@@ -219,14 +219,14 @@ def available_drivers(
 def drivers_beside(
     name: str, driver: Driver, recording: Callable[[str], Motion]
 ) -> Mapping[str, Callable[[], Driver]]:
-    """One driver by its name, and after it what is available under other names."""
+    """One driver by its name, followed by the other available drivers."""
     available = available_drivers(recording)
     others = {other: make for other, make in available.items() if other != name}
     return {name: lambda: driver, **others}
 
 
 def _write_video(args: DemoArgs, path: Path) -> None:
-    """Film the session, or say in one line why there is no film."""
+    """Film the session, or print one line saying why it could not be filmed."""
     from questsim.viewing.gl import find_gl, missing_gl
     from questsim.viewing.live_film import film
 

@@ -1,4 +1,4 @@
-"""What moves the avatar of a live session on by one step."""
+"""Drivers: they advance the avatar of a live session by one step."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from questsim.sensors import DEVICES, SENSOR_SETS
 
 
 class Driver(Protocol):
-    """Anything that can drive a session's one avatar: by torques, or by poses.
+    """Protocol of a driver of a session's avatar, by torques or by poses.
 
     Attributes:
-        physics: whether torques move the avatar; without, it takes poses as they are, and nothing
-            can push it.
+        physics: whether torques move the avatar. Without physics the avatar shows poses directly
+            and cannot be pushed.
     """
 
     physics: bool
 
     @property
     def needs(self) -> Needs:
-        """The environment that it was made for."""
+        """The environment that it was trained in."""
         ...
 
     def sensor_sets(self) -> tuple[str, ...]:
-        """Names of the sensor sets that give it what it reads."""
+        """Names of the sensor sets that provide its inputs."""
         ...
 
     def config(self, sensors: str, height_m: float | None = None) -> EnvConfig:
@@ -39,11 +39,11 @@ class Driver(Protocol):
         ...
 
     def shown(self, clip: Clip, sensors: str) -> list[Clip] | None:
-        """What it sees in place of a clip, see ``BatchSim``; None for the clip itself."""
+        """The clip that it observes instead, see ``BatchSim``; None for the clip itself."""
         ...
 
     def bind(self, sim: BatchSim, sensors: str) -> None:
-        """Get to know a simulation; an ``InputError`` leaves the one before in force."""
+        """Bind to a simulation; after an ``InputError`` the previous one stays bound."""
         ...
 
     def reset(self) -> None:
@@ -69,11 +69,11 @@ class TorqueDriver:
 
     @property
     def needs(self) -> Needs:
-        """The environment that the agent was made for."""
+        """The environment that the agent was trained in."""
         return self.agent.needs
 
     def sensor_sets(self) -> tuple[str, ...]:
-        """Names of the sensor sets without IMUs that show all that the agent reads."""
+        """Names of the sensor sets without IMUs that provide all inputs of the agent."""
         return tuple(
             name
             for name, devices in SENSOR_SETS.items()
@@ -103,11 +103,11 @@ class TorqueDriver:
         )
 
     def shown(self, clip: Clip, sensors: str) -> list[Clip] | None:
-        """Nothing in place of the clip."""
+        """None: the agent observes the clip itself."""
         return None
 
     def bind(self, sim: BatchSim, sensors: str) -> None:
-        """Find what the agent reads in the simulation's observation; see ``Agent.bind``."""
+        """Bind the agent to the simulation's observation; see ``Agent.bind``."""
         self.agent.bind(sim)
 
     def reset(self) -> None:
@@ -115,5 +115,5 @@ class TorqueDriver:
         self.agent.reset(1)
 
     def advance(self, sim: BatchSim) -> None:
-        """Act on what is observed now, for one step."""
+        """Act on the present observation for one step."""
         sim.step(self.agent.act(sim.observation))

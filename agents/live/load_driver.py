@@ -1,4 +1,4 @@
-"""Drivers of the live simulation by an agent's name."""
+"""Load drivers of the live simulation by an agent's name."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from questsim.motion.motion import Motion
 
 
 def load_driver(name: str, recording: Callable[[str], Motion]) -> Driver:
-    """What an agent's name, checkpoint folder or run folder means.
+    """The driver of an agent given by name, checkpoint folder or run folder.
 
     Args:
         any that ``agents.resolve`` knows.
-        recording: by a clip's name, its user's motion; asked for by kinematic systems alone.
+        recording: returns the user's motion of a clip by name; only kinematic systems use it.
 
     Raises:
         InputError: there is no such agent, or it cannot be used.
@@ -23,7 +23,7 @@ def load_driver(name: str, recording: Callable[[str], Motion]) -> Driver:
     found = resolve(name)
     if found.torques:
         return TorqueDriver(load_agent(name))
-    # Not at the top: all systems are imported with these, and the page is not to wait for them.
+    # Imported here: this loads all systems, and the page should not wait for them.
     from agents.kinematic.store import load_system
     from agents.live.physics import PhysicsDriver
     from agents.live.poses import PoseDriver

@@ -1,4 +1,4 @@
-"""Physics behind a kinematic system in a live session: a tracker is shown the system's poses."""
+"""Kinematic system with physics in a live session: a tracker follows the system's poses."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from questsim.motion.motion import Motion
 
 
 class PhysicsDriver(TorqueDriver):
-    """Drives by the torques of a tracker that is shown what a system makes of the devices.
+    """Drives by the torques of a tracker that follows a kinematic system's poses.
 
-    The system answers for the whole clip when that is chosen; the tracker reads of it as far ahead
-    as in an evaluation.
+    When a clip is chosen, the system estimates the poses of the whole clip. The tracker reads as
+    many future frames as in an evaluation.
 
     Args:
         system: reads the user's devices at 60 Hz.
-        tracker: sees its poses as the reference.
-        recording: by a clip's name, the user's motion: what the devices report is made of it.
+        tracker: observes the system's poses as its reference.
+        recording: returns the user's motion of a clip by name, the source of the device signals.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class PhysicsDriver(TorqueDriver):
 
     @property
     def needs(self) -> Needs:
-        """The tracker's world, and the devices that the system would wear."""
+        """The tracker's environment with the devices of the system."""
         return replace(self.agent.needs, sensors=self._worn.needs.sensors)
 
     def sensor_sets(self) -> tuple[str, ...]:
@@ -64,7 +64,7 @@ class PhysicsDriver(TorqueDriver):
         devices = self._system.usable(sensors)
         poses = self._system.predict(readings(user, devices), UserBody.of(user))
         estimate = reference_of(poses, user)
-        # The way over 60 Hz may lose the last frame.
+        # Resampling by way of 60 Hz may lose the last frame.
         rows = np.minimum(np.arange(len(clip)), len(estimate) - 1)
         qpos = estimate.qpos[rows]
         whole = clip_from_qpos(clip.name, qpos, estimate.height_m).scaled(clip.height_m)

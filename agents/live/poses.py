@@ -1,4 +1,4 @@
-"""Kinematic systems that move the avatar of a live session, pose by pose, without physics."""
+"""Kinematic systems in a live session: the avatar shows their poses, without physics."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from questsim.motion.retarget_stream import StreamRetargeter
 from questsim.sensors import SENSOR_SETS
 
 LEFT_OPEN = "H"
-"""The simulation's own sensors, which nobody reads here; IMUs it would not show."""
+"""Sensors of the simulation, which are not read here; it does not display IMUs."""
 
 
 class PoseDriver:
@@ -30,7 +30,7 @@ class PoseDriver:
 
     Args:
         system: reads the user's devices at 60 Hz.
-        recording: by a clip's name, the user's motion: what the devices report is made of it.
+        recording: returns the user's motion of a clip by name, the source of the device signals.
     """
 
     physics = False
@@ -41,7 +41,7 @@ class PoseDriver:
 
     @property
     def needs(self) -> Needs:
-        """All trackers that it can use, or else the first set that it can."""
+        """The set with all trackers that it can use, otherwise the first usable set."""
         usable = self.sensor_sets()
         return Needs(sensors="6T" if "6T" in usable else usable[0], future_frames=0)
 
@@ -57,28 +57,28 @@ class PoseDriver:
         return True
 
     def config(self, sensors: str, height_m: float | None = None) -> EnvConfig:
-        """The environment: of what it observes nothing is read."""
+        """The environment; its observation is not used."""
         heights = None if height_m is None else (height_m, height_m)
         return EnvConfig(sensors=LEFT_OPEN, future_frames=0, heights=heights, fixed_start=True)
 
     def shown(self, clip: Clip, sensors: str) -> list[Clip] | None:
-        """Nothing in place of the clip: it is not looked at."""
+        """None: the observation is not used."""
         return None
 
     def bind(self, sim: BatchSim, sensors: str) -> None:
-        """Prepare what the devices report of the clip's user, who is as tall as the avatar."""
+        """Prepare the device signals of the clip's user, scaled to the avatar's height."""
         height, reference = float(sim.heights[0]), sim.reference
         ratio = height / float(reference.heights[0])
         user = scaled(self._recording(reference.names[0]), ratio)
         self._stream = PoseStream(self._system, user, height, sensors)
 
     def reset(self) -> None:
-        """The system forgets; the next pose is the first of a new stream."""
+        """Reset the system; the next pose is the first of a new stream."""
         if self._stream is not None:
             self._stream.reset()
 
     def advance(self, sim: BatchSim) -> None:
-        """Show the pose of the next frame, where the clip is played and over its ground."""
+        """Show the pose of the next frame at the clip's place on the terrain."""
         assert self._stream is not None
         start, end = int(sim.reference.start[0]), int(sim.reference.end[0])
         frame = min(int(sim.frame[0]) + 1, end - 1) - start
@@ -86,18 +86,18 @@ class PoseDriver:
 
 
 class PoseStream:
-    """What a system makes of a user's devices, on the avatar at 36 Hz.
+    """A system's estimates from a user's devices, on the avatar at 36 Hz.
 
-    The devices' frames come at 60 Hz, one by one and in order. A frame of 36 Hz lies between two
-    of them: its pose is interpolated between those of both, as retargeting does it for a whole
-    motion. So a pose is late by up to two thirds of a frame of 60 Hz, 11 ms, and by the system's
-    own ``future_frames``; nothing is kept but the last two poses.
+    Device frames arrive at 60 Hz, in order. The pose of a 36 Hz frame is interpolated between the
+    two poses of 60 Hz around it, as retargeting does for a whole motion. A pose is therefore late
+    by up to two thirds of a 60 Hz frame (11 ms) plus the system's ``future_frames``. Only the last
+    two poses are stored.
 
     Args:
         system: the system.
-        user: the user's motion; says whose bones they are, too.
+        user: the user's motion, which also provides the bones.
         height_m: the avatar's stature.
-        sensors: name of the set of devices that are worn.
+        sensors: name of the set of worn devices.
 
     Raises:
         InputError: the system cannot use these devices.
@@ -113,7 +113,7 @@ class PoseStream:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew, with whatever frame is asked for next."""
+        """Restart at the frame requested next."""
         self._system.reset(UserBody.of(self._user), self._names)
         self._retarget.reset()
         self._frame: int | None = None
@@ -122,8 +122,8 @@ class PoseStream:
         self._pose = np.zeros(0)
 
     def at(self, frame: int) -> np.ndarray:
-        """The avatar's ``qpos`` ``(40,)`` in a frame at 36 Hz; frames are asked for in order."""
-        if frame == self._frame:  # the clip is over
+        """The avatar's ``qpos`` ``(40,)`` in a frame at 36 Hz; request frames in order."""
+        if frame == self._frame:  # the clip has ended
             return self._pose
         place = frame * SENSOR_FPS / FPS
         whole = int(place + 1e-9)
@@ -139,7 +139,7 @@ class PoseStream:
         return self._pose
 
     def _feed(self) -> None:
-        """Tell the system one more frame; after the last one that is held."""
+        """Give the system the next frame; after the end, the last frame is repeated."""
         told = self._told[min(self._fed, len(self._told) - 1)]
         pose = self._system.step(replace(told, time_s=self._fed / SENSOR_FPS))
         self._fed += 1
@@ -149,7 +149,7 @@ class PoseStream:
             self._answered = late
 
     def _between(self, share: float) -> Motion:
-        """One pose on the user's bones between the last two, 1 being the last."""
+        """A pose on the user's bones, interpolated between the last two; 1 is the last."""
         assert self._before is not None and self._after is not None
         motion = on_own_body(Poses.joined([self._before, self._after]), self._user)
         a, b = motion.rotations
@@ -161,13 +161,13 @@ class PoseStream:
 
 
 def scaled(motion: Motion, ratio: float) -> Motion:
-    """The same motion of a person so many times as tall, as ``Clip.scaled`` scales clips."""
+    """The same motion of a person scaled by ``factor``, as ``Clip.scaled`` scales clips."""
     root, offsets = ratio * motion.root_position, ratio * motion.offsets
     return replace(motion, root_position=root, offsets=offsets)
 
 
 def in_world(sim: BatchSim, pose: np.ndarray) -> np.ndarray:
-    """A pose ``(40,)`` over level ground where the clip is played, ``(1, 40)``, lifted by it."""
+    """A pose ``(40,)`` over level ground, moved to the clip's place and ground, ``(1, 40)``."""
     place, field = sim.placement.place, sim.placement.field
     there = pose[None].copy()
     there[:, :3] = moved(place, there[:, :3])

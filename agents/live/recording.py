@@ -1,4 +1,4 @@
-"""A live session without viewers: clip after clip, with a push in each, for a film."""
+"""A live session without viewers for a film: several clips with a push in each."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from questsim.viewing.live import Snapshot
 from questsim.viewing.live_film import Take
 
 PUSH_AFTER = 0.45
-"""The push comes after this part of a clip."""
+"""Time of the push as a share of the clip."""
 
 
 def record(session: DemoSession, seconds: float, push_n: float = 0.0) -> list[Take]:
-    """Takes that fill a time: the session's clip, then one of every other kind of motion, and on.
+    """Takes of a given total length: the session's clip, then clips of the other kinds of motion.
 
     Args:
-        session: nobody else may advance it.
-        seconds: length of all takes together.
-        push_n: force in newtons of a push from one side, then from the other; none of them where
-            the agent has no physics.
+        session: must not be advanced by anyone else.
+        seconds: total length of all takes.
+        push_n: push force in newtons, alternating between the sides; agents without physics are
+            not pushed.
     """
     takes: list[Take] = []
     left, side = round(seconds * FPS), 90.0
@@ -34,7 +34,7 @@ def record(session: DemoSession, seconds: float, push_n: float = 0.0) -> list[Ta
 
 
 def _take(session: DemoSession, most: int, push_n: float, side: float) -> list[Snapshot]:
-    """A clip from its first frame until it is over and the avatar has settled."""
+    """A clip from its first frame until its end, when the avatar has settled."""
     moments = [session.snapshot()]
     push_at = round(PUSH_AFTER * moments[0].duration_s * FPS)
     while len(moments) < most:
@@ -42,7 +42,7 @@ def _take(session: DemoSession, most: int, push_n: float, side: float) -> list[S
             session.push(push_n, side)
         session.advance()
         moment = session.snapshot()
-        if moment.time_s < moments[-1].time_s:  # it begins again
+        if moment.time_s < moments[-1].time_s:  # the clip restarts
             break
         moments.append(moment)
     return moments

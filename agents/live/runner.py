@@ -9,16 +9,16 @@ from agents.live.session import DemoSession
 from questsim.motion.clip import FPS
 
 LATE_S = 0.25
-"""A simulation that is later than this gives the time up for lost instead of hurrying."""
+"""A simulation that lags more than this many seconds skips the lag instead of catching up."""
 
 
 class Runner:
-    """Advances a session in a thread of its own, at the speed its settings say.
+    """Advances a session in its own thread at the speed of its settings.
 
-    Viewers read snapshots; none of them can hold the simulation up.
+    Viewers read snapshots, so they cannot delay the simulation.
 
     Args:
-        session: what to advance.
+        session: the session to advance.
         stop: ends the thread when set; set by the thread when it fails.
 
     Attributes:
@@ -41,7 +41,7 @@ class Runner:
 
     @property
     def running(self) -> bool:
-        """Whether the simulation goes on."""
+        """Whether the simulation is running."""
         return self._thread.is_alive()
 
     def _run(self) -> None:
@@ -53,7 +53,7 @@ class Runner:
                 now = time.monotonic()
                 if now > due + LATE_S:
                     due = now
-                # Always a pause, however short: viewers must get at the session as well.
+                # Always pause briefly, so that viewers can access the session.
                 self._stop.wait(max(due - now, 0.0005))
         except Exception as failure:
             self.failure = failure

@@ -1,4 +1,4 @@
-"""A simulation of one avatar that runs while it is watched, and does what viewers ask."""
+"""A live simulation of one avatar that viewers can watch and control."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from questsim.skeleton import NUM_DOFS
 from questsim.viewing.live import ROUGHNESS, SPEEDS, Choices, Scenery, Settings, Snapshot
 
 AFTER_FALL_S, AFTER_END_S = 2.0, 0.7
-"""How long an episode that is over goes on before the clip begins again."""
+"""Time in s between the end of an episode and the restart of the clip."""
 
 GROUNDS = tuple(name for name, terrain in TERRAINS.items() if terrain.kind != COURSE)
 """A course's tiles are smaller than many clips' paths."""
 
 SEEN_M = 14.0
-"""How far around the clip's path viewers see the ground."""
+"""Distance in m around the clip's path within which the ground is shown."""
 
 PUSH_S = 0.2
 MAX_PUSH_N = 1000.0
@@ -43,18 +43,18 @@ _AVATAR = 7 + NUM_DOFS
 
 
 class DemoSession:
-    """One avatar that follows one clip after another setting, from any number of threads.
+    """One avatar that follows clips; any number of threads may change its settings.
 
-    A change of settings is made at once, between two steps; a change that cannot be made raises
-    ``InputError`` and leaves everything as it was.
+    Settings change at once, between two steps. An impossible change raises ``InputError`` and
+    leaves the session unchanged.
 
     Args:
-        clips: what can be followed; names are unique.
-        drivers: by name, functions that make what moves the avatar; each is called once.
-        settings: to begin with; empty sensors are the agent's own.
+        clips: the available clips; names are unique.
+        drivers: by name, functions that create a driver; each is called once.
+        settings: initial settings; empty sensors mean the agent's own.
 
     Attributes:
-        notes: words to show beside an agent's name, by that name.
+        notes: text to show beside an agent's name, by name.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class DemoSession:
         self.notes: dict[str, str] = {}
         self._sim: BatchSim = self._build(settings)
 
-    # -- what viewers see ------------------------------------------------------------------
+    # -- read by viewers -------------------------------------------------------------------
 
     @property
     def settings(self) -> Settings:
@@ -88,7 +88,7 @@ class DemoSession:
 
     @property
     def choices(self) -> Choices:
-        """What can be chosen now."""
+        """The choices available now."""
         return Choices(
             clips=tuple(self._clips),
             agents=tuple(self._make_driver),
@@ -100,7 +100,7 @@ class DemoSession:
     def playlist(self) -> list[str]:
         """Names of the present clip, then of one clip of each other kind of motion, then the rest.
 
-        The one of a kind is its middle one: libraries often begin and end with extremes.
+        The middle clip of each kind is used, since libraries often begin and end with extremes.
         """
         present = self._clips[self._settings.clip]
         kinds: dict[str, list[str]] = {present.kind: []}
@@ -111,7 +111,7 @@ class DemoSession:
         return list(dict.fromkeys([*firsts, *self._clips]))
 
     def snapshot(self) -> Snapshot:
-        """The present moment; its arrays are the viewer's own."""
+        """The present moment; its arrays are copies."""
         with self._lock:
             sim = self._sim
             clip = self._placed
@@ -145,17 +145,17 @@ class DemoSession:
                 physics=self._present.physics,
             )
 
-    # -- what viewers ask for ----------------------------------------------------------------
+    # -- called by viewers -------------------------------------------------------------------
 
     def change(self, **settings: Any) -> Settings:
-        """Change some settings and begin the clip again, unless only the speed is changed.
+        """Change settings and restart the clip, unless only the speed changes.
 
-        Sensors that a new agent cannot use give way to its own. An object that is what the clip
-        needs, a chair or none, gives way to what the next clip needs. An avatar of its user's
-        height keeps to it.
+        Sensors that a new agent cannot use are replaced by its own. If the object is the one that
+        the clip needs (a chair or none), it changes to what the next clip needs. An avatar with
+        its user's height keeps the user's height.
 
         Raises:
-            InputError: there is no such setting, or its value cannot be used.
+            InputError: no such setting, or its value cannot be used.
         """
         with self._lock:
             unknown = set(settings) - {field.name for field in fields(Settings)}
@@ -179,17 +179,17 @@ class DemoSession:
             return wanted
 
     def pause(self, paused: bool) -> None:
-        """Let time stand still or go on."""
+        """Pause or continue."""
         with self._lock:
             self._paused, self._one_step = bool(paused), False
 
     def step_once(self) -> None:
-        """Pause, and let the next ``advance`` make one step."""
+        """Pause; the next ``advance`` makes one step."""
         with self._lock:
             self._paused, self._one_step = True, True
 
     def restart(self) -> None:
-        """Begin the clip again."""
+        """Restart the clip."""
         with self._lock:
             self._begin(self._sim)
 
@@ -197,8 +197,8 @@ class DemoSession:
         """Push the chest for 0.2 s: 0 degrees pushes the avatar forwards, 90 to its left.
 
         Raises:
-            InputError: the force is not between 0 and 1000 N, the direction no number, or the
-                agent without physics.
+            InputError: the force is not between 0 and 1000 N, the direction is not a number, or
+                the agent has no physics.
         """
         force_n, direction_deg = _number(force_n, "push"), _number(direction_deg, "direction")
         if not 0.0 <= force_n <= MAX_PUSH_N:
@@ -212,10 +212,10 @@ class DemoSession:
             self._sim.pusher.push(0, force, PUSH_S)
 
     def replace_driver(self, name: str, driver: Driver, note: str = "") -> None:
-        """Put another driver in the place of one of the same name, at once where it drives now.
+        """Replace the driver of the same name, at once if it is the current one.
 
         Raises:
-            InputError: it does not fit; the one before stays.
+            InputError: it does not fit; the previous one stays.
         """
         with self._lock:
             before = self._drivers.get(name)
@@ -230,7 +230,7 @@ class DemoSession:
             self.notes[name] = note
 
     def _take_up(self, driver: Driver) -> None:
-        """Let a driver go on from now, or from the clip's start where it needs another world."""
+        """Use a driver from now on; restart the clip if it needs another environment."""
         settings = self._settings
         if settings.sensors not in driver.sensor_sets():
             settings = replace(settings, sensors=driver.needs.sensors)
@@ -245,7 +245,7 @@ class DemoSession:
     # -- the simulation ------------------------------------------------------------------------
 
     def advance(self) -> bool:
-        """Go on by 1/36 s, unless paused; whether time went on."""
+        """Advance by 1/36 s unless paused; returns whether time advanced."""
         with self._lock:
             if self._paused and not self._one_step:
                 return False
@@ -265,7 +265,7 @@ class DemoSession:
     def _judge(self, sim: BatchSim) -> None:
         if self._outcome:
             return
-        # Poses that are far off are no fall: they may come back.
+        # Inaccurate poses are not a fall: the estimate may recover.
         physics = self._present.physics
         if physics and sim.fell[0]:
             self._outcome, self._hold = "fell", round(AFTER_FALL_S * FPS)
@@ -284,7 +284,7 @@ class DemoSession:
 
     @property
     def _present(self) -> Driver:
-        """What drives the avatar now."""
+        """The current driver."""
         return self._drivers[self._settings.agent]
 
     def _driver(self, name: str) -> Driver:
@@ -295,15 +295,15 @@ class DemoSession:
         return self._drivers[name]
 
     def _needed(self, settings: Settings) -> str:
-        """The object without which the settings' clip makes no sense."""
+        """The object that the settings' clip needs."""
         clip = self._clips.get(settings.clip)
         return NOTHING if clip is None else needed_thing(clip)
 
     def _check(self, settings: Settings) -> None:
-        """Refuse what cannot be simulated.
+        """Refuse settings that cannot be simulated.
 
         Raises:
-            InputError: naming the setting.
+            InputError: names the setting.
         """
         if settings.clip not in self._clips:
             raise InputError(f"there is no clip {settings.clip!r}")
@@ -361,7 +361,7 @@ def _number(value: Any, what: str) -> float:
     """A finite number.
 
     Raises:
-        InputError: it is none.
+        InputError: it is not a finite number.
     """
     try:
         number = float(value)

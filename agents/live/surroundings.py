@@ -1,4 +1,4 @@
-"""What a session's settings mean: its environment, its object, and its user beside the avatar."""
+"""Environment, object and user's ghost of a live session, from its settings."""
 
 from __future__ import annotations
 
@@ -44,25 +44,26 @@ def scaled_terrain(name: str, roughness: float) -> Terrain | None:
 
 
 def needed_thing(clip: Clip) -> str:
-    """The object without which a clip makes no sense: a chair where it sits, else ``NOTHING``."""
+    """The object that a clip needs: a chair for seated clips, otherwise ``NOTHING``."""
     return "chair" if clip.kind in SEATED else NOTHING
 
 
 def in_own_size(
     clip: Clip, field: HeightField | None, height_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The clip's person in another size, on the same spot of ground in every frame.
+    """The clip's person in another size, at the same place on the ground in every frame.
 
-    A person of another size walks another distance in as many steps: here it goes along with the
-    clip, so that both stay together, and its feet slide by the difference.
+    A person of another size would walk another distance in the same steps. Here the person moves
+    along with the clip so that both stay together, and the feet slide by the difference.
 
     Args:
         clip: as the avatar follows it.
-        field: the ground, None for a plane.
+        field: the ground; None for a plane.
         height_m: the person's stature.
 
     Returns:
-        Link positions ``(F, 16, 3)`` and ``qpos`` ``(F, 40)``; orientations and angles stay.
+        Link positions ``(F, 16, 3)`` and ``qpos`` ``(F, 40)``; orientations and angles are the
+        same.
     """
     if height_m == clip.height_m:
         return clip.link_position, clip.qpos
@@ -75,6 +76,6 @@ def in_own_size(
 
 
 def object_pose(sim: BatchSim) -> tuple[np.ndarray, np.ndarray]:
-    """Where the session's object is, and its orientation."""
+    """Position and orientation of the session's object."""
     pose = sim.objects.pose[0, 0].copy()
     return pose[:3], pose[3:]

@@ -1,4 +1,4 @@
-"""The users of a session's clips as they were recorded, from which devices are read."""
+"""The recorded users of a session's clips; device signals are made from them."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from questsim.motion.motion import Motion
 
 
 class Recordings:
-    """Motions of clips by name; they are loaded when the first one is asked for.
+    """Motions of clips by name; they are loaded at the first request.
 
     Args:
-        motions: the motion argument that the clips are of.
-        clips: those that can be asked for.
-        seed: of the synthetic ones.
+        motions: the motion argument that the clips come from.
+        clips: the available clips.
+        seed: seed of the synthetic motions.
     """
 
     def __init__(self, motions: str, clips: Sequence[Clip], seed: int = 0) -> None:
@@ -23,7 +23,7 @@ class Recordings:
         self._loaded: dict[str, Motion] | None = None
 
     def __call__(self, name: str) -> Motion:
-        """The motion as recorded; that of the avatar where nothing was, as of synthetic clips."""
+        """The recorded motion; the avatar's if there is no recording, as for synthetic clips."""
         from questsim.motion.retarget_back import to_motion
 
         clip = self._clips[name]

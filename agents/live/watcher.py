@@ -1,4 +1,4 @@
-"""The newest policy or kinematic system of a training that goes on."""
+"""Find and load the newest policy or kinematic system of a running training."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ class Checkpoint:
 
     @property
     def of_system(self) -> bool:
-        """Whether it is of a kinematic system, and not of a policy."""
+        """Whether it is a kinematic system rather than a policy."""
         return (self.folder / SYSTEM_CARD).is_file()
 
     def training(self) -> dict[str, Any]:
-        """What its card says of its training.
+        """The training record in its card.
 
         Raises:
-            InputError: there is no card, or it cannot be read.
+            InputError: the card is missing or cannot be read.
         """
         if self.of_system:
             from agents.kinematic.store import read_system_card
@@ -51,25 +51,25 @@ class Checkpoint:
 
 
 def newest_checkpoint(run: Path) -> Checkpoint | None:
-    """The checkpoint that was written last in a run, stage or checkpoint folder, if there is one.
+    """The newest checkpoint in a run, stage or checkpoint folder, if there is one.
 
-    Folders that a training is about to write or to remove do not count.
+    Temporary folders that a training is writing or removing are ignored.
     """
     found = [run] + [path for name in CHECKPOINTS for path in (run / name, *run.glob(f"*/{name}"))]
     stamps = []
     for card in (folder / name for folder in found for name in (CARD_FILE, SYSTEM_CARD)):
         try:
             stamps.append(Checkpoint(card.parent, card.stat().st_mtime_ns))
-        except OSError:  # none there, or replaced at this moment
+        except OSError:  # missing, or being replaced
             continue
     return max(stamps, key=lambda checkpoint: checkpoint.stamp, default=None)
 
 
 def first_checkpoint(run: Path) -> Checkpoint:
-    """The newest checkpoint of a run; where there is none yet, waits for the first, and says so.
+    """The newest checkpoint of a run; prints a message and waits if there is none yet.
 
     Raises:
-        InputError: there is no such folder, or none of a training.
+        InputError: no such folder, or it is not a training's.
     """
     if not run.is_dir():
         raise InputError("there is no such folder", run, "name the --out of a training")
@@ -87,15 +87,15 @@ def first_checkpoint(run: Path) -> Checkpoint:
 def load_checkpoint(
     run: Path, checkpoint: Checkpoint, recording: Callable[[str], Motion]
 ) -> tuple[Driver, str]:
-    """What drives the avatar by a checkpoint, and a few words about it.
+    """The driver of a checkpoint, and a short description of it.
 
     Args:
-        run: the folder that is watched.
-        checkpoint: in it.
+        run: the watched folder.
+        checkpoint: a checkpoint in it.
         recording: see ``load_driver``.
 
     Raises:
-        InputError: it cannot be read, or was replaced meanwhile.
+        InputError: it cannot be read, or was replaced while it was read.
     """
     driver = _driver(checkpoint, recording)
     words = describe(run, checkpoint.folder, checkpoint.training())
@@ -114,7 +114,7 @@ def _driver(checkpoint: Checkpoint, recording: Callable[[str], Motion]) -> Drive
 
 
 def describe(run: Path, folder: Path, training: dict[str, Any]) -> str:
-    """Which checkpoint of the run it is, and after how much training."""
+    """The checkpoint's place in the run, and its amount of training."""
     place = folder.relative_to(run).as_posix() if folder != run else folder.name
     words = [place]
     steps = training.get("steps")
@@ -126,13 +126,13 @@ def describe(run: Path, folder: Path, training: dict[str, Any]) -> str:
 
 
 class Watcher:
-    """Gives a session each newer checkpoint of a run, from a thread of its own.
+    """Loads each newer checkpoint of a run into a session, from its own thread.
 
     Args:
         run: the folder.
-        name: of the agent in the session that is replaced.
-        session: which to give it to.
-        shown: the checkpoint that drives now.
+        name: name of the session's agent to replace.
+        session: the session.
+        shown: the current checkpoint.
         recording: see ``load_driver``.
     """
 
@@ -158,9 +158,9 @@ class Watcher:
         self._thread.join()
 
     def poll(self) -> bool:
-        """Look once; whether a newer checkpoint took over.
+        """Check once; returns whether a newer checkpoint was loaded.
 
-        One that cannot be read is tried again the next time: it may be half replaced.
+        An unreadable checkpoint is retried at the next check: it may be half replaced.
         """
         newest = newest_checkpoint(self._run)
         if newest is None or newest == self._shown:
