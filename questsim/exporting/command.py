@@ -21,7 +21,7 @@ T = TypeVar("T", Clip, Motion)
 
 @dataclass(frozen=True)
 class ExportMotionsArgs:
-    """Write motions for other programs, a file each."""
+    """Write motions for other programs, one file per motion."""
 
     spec: tyro.conf.Positional[str]
     """A dataset (with :train or :test), library, file, folder, or synthetic."""
@@ -30,8 +30,8 @@ class ExportMotionsArgs:
     format: str = "bvh"
     """bvh, glb, npz (as AMASS) or csv."""
     skeleton: str | None = None
-    """Of BVH files: joints, the 22 joints as recorded, or avatar, the 16 links of the retargeted
-    clip. GLB and CSV have the avatar, npz the joints."""
+    """Skeleton of BVH files: joints (the 22 joints as recorded) or avatar (the 16 links of the
+    retargeted clip). GLB and CSV always contain the avatar, npz the joints."""
     seed: int = 0
     """Of the embedded motions."""
 

@@ -39,7 +39,7 @@ HEADER: dict[str, np.ndarray] = {
     "units": np.array("m"),
     "up": np.array("z"),
 }
-"""What every library says about itself; a file that says anything else is refused."""
+"""Header values of every library; a file with other values is rejected."""
 
 
 @dataclass(frozen=True)

@@ -52,11 +52,11 @@ class ImportArgs:
     mirrored: bool = False
     """Add a mirrored copy of each motion."""
     accept: bool = False
-    """Take files even where they fail the physical checks."""
+    """Accept files that fail the physical checks."""
     strict: bool = False
-    """Refuse everything where one file cannot be used; by default it is skipped and named."""
+    """Write no library if any file cannot be used; by default such files are skipped and named."""
     explain: bool = False
-    """Print which joint of the file was taken for what, and why."""
+    """Print the assignment of the file's joints, with reasons."""
 
 
 @dataclass
@@ -76,12 +76,12 @@ class FetchArgs:
     name: tyro.conf.Positional[str]
     """The dataset, e.g. bandai-namco-2."""
     mirror: str | None = None
-    """A zip file or URL laid out as the public archive is, to use instead of it."""
+    """A zip file or URL with the same layout as the public archive, to use instead of it."""
 
 
 @dataclass
 class ListMotionsArgs:
-    """Say what a motion argument contains."""
+    """List the contents of a motion argument."""
 
     spec: tyro.conf.Positional[str]
     """A dataset (with :train or :test), library, file, folder, or synthetic."""

@@ -1,4 +1,4 @@
-"""Arrays of .npz files, checked before memory is taken for them."""
+"""Arrays of .npz files, checked before memory is allocated for them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from questsim.motion.recording import AGAIN
 
 _KINDS = "biufUS"
 BOMB_BYTES, BOMB_RATIO = 64 << 20, 50
-"""Arrays above this size that were packed more than so many times hold no motion."""
+"""Arrays above this size with a higher compression ratio are rejected: they hold no motion."""
 
 
 class Archive:

@@ -1,12 +1,11 @@
-"""Feet that stand: where a motion's soles lie while they are still, and how they get to the floor.
+"""Stance feet: estimate a motion's soles while they are still, and put them on the floor.
 
-Skeletons say where an ankle is, not where the sole below it is, and captures have floors that are
-a few centimetres off. So a file's feet may float, lean or differ from each other, and no physics
-can follow them. Still feet tell by how much: ``measure_soles`` estimates each foot's pitch, roll
-and height over the floor from its stances; ``plant`` takes these off and puts stance feet on the
-floor. A foot that rolls keeps its pitch. Between stances the corrections are interpolated
-linearly, which leaves the acceleration of flight as it is. Ground that is not flat (stairs, ramps)
-and files whose feet stand already are left alone.
+A skeleton has ankles but no soles, and the floor of a capture is a few centimetres off. So a file's
+feet may float, lean or differ from each other, and a simulated avatar cannot follow them.
+``measure_soles`` estimates each foot's pitch, roll and height over the floor from its stances;
+``plant`` subtracts these and puts stance feet on the floor. A foot that rolls keeps its pitch.
+Between stances the corrections are interpolated linearly, which leaves the acceleration of flight
+as it is. Ground that is not flat (stairs, ramps) and files whose feet stand already are left alone.
 
 All of it is in the avatar's space: ankle targets ``(T, 2, 3)`` and foot orientations ``(T, 2, 4)``,
 left before right, 36 Hz, z up.

@@ -1,4 +1,4 @@
-"""What a viewer can press, choose and read beside the picture."""
+"""The panel of the page: buttons, choices, curves and text."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ NO_PHYSICS = "no physics: pushes and objects do nothing"
 class PagePanel:
     """Buttons, choices and curves, shared by all viewers of a page.
 
-    What cannot be done is told in one line, on the page and on stderr; the simulation goes on.
+    An impossible request prints one line on the page and on stderr. The simulation continues.
 
     Args:
-        server: of the page.
-        session: what is controlled.
-        scene: the picture, parts of which can be hidden.
+        server: server of the page.
+        session: the session that the panel controls.
+        scene: the picture; the panel can hide parts of it.
     """
 
     def __init__(self, server: viser.ViserServer, session: Session, scene: PageScene) -> None:
@@ -166,13 +166,13 @@ class PagePanel:
         self.refresh()
 
     def tell(self, line: str) -> None:
-        """One line for whoever watches and whoever runs the page."""
+        """Print one line on the page and on stderr."""
         print(f"page: {line}", file=sys.stderr, flush=True)
         for client in self._server.get_clients().values():
             client.add_notification("This cannot be done", line, auto_close_seconds=8.0)
 
     def refresh(self) -> None:
-        """Let every field show what is in force."""
+        """Update every field to the present settings."""
         settings, choices = self._session.settings, self._session.choices
         self.refreshed = settings
         for setting, options in (("agent", choices.agents), ("sensors", choices.sensors)):
@@ -186,11 +186,11 @@ class PagePanel:
     # -- telling ---------------------------------------------------------------------------------
 
     def record(self, snapshot: Snapshot) -> None:
-        """Take a moment into the curves."""
+        """Add a snapshot to the curves."""
         self._trace.add(snapshot, FPS)
 
     def show(self, snapshot: Snapshot) -> None:
-        """Bring words and curves to a moment; a few times a second is enough."""
+        """Update texts and curves to a snapshot; a few times a second is enough."""
         text = status_text(snapshot, self._session.settings)
         if text != self._shown_status:
             self._shown_status = self._status.content = text

@@ -1,4 +1,4 @@
-"""The avatar, its user, the floor and the forces as things that a browser draws."""
+"""The scene of the page: the avatar, its user, the floor and the forces."""
 
 from __future__ import annotations
 
@@ -32,16 +32,15 @@ _FOLLOW_S = 0.35
 
 
 class PageScene:
-    """Everything in the picture; ``show`` brings it to a snapshot's moment.
+    """Everything in the picture; ``show`` updates it to a snapshot.
 
-    The world moves and the camera stays: whoever turns the view is not fought, and every viewer
-    has a view of their own.
+    The world moves and the camera stays, so each viewer can turn their own view freely.
 
     Args:
-        server: of the page.
+        server: server of the page.
 
     Attributes:
-        follow, ghost, devices, forces: what to show, as chosen on the panel.
+        follow, ghost, devices, forces: visible parts, as chosen on the panel.
     """
 
     def __init__(self, server: viser.ViserServer) -> None:
@@ -91,7 +90,7 @@ class PageScene:
         )
 
     def show(self, snapshot: Snapshot) -> None:
-        """Bring the picture to a moment."""
+        """Update the picture to a snapshot."""
         with self._server.atomic():
             if snapshot.scenery != self._scenery:
                 self._set(snapshot.scenery)
@@ -122,7 +121,7 @@ class PageScene:
             self._move_world(snapshot)
 
     def _set(self, scenery: Scenery) -> None:
-        """Put up another scenery."""
+        """Replace the scenery."""
         before, self._scenery = self._scenery, scenery
         for nodes, height_m in ((self._avatar, scenery.height_m), (self._person, scenery.user_m)):
             for node in nodes:
@@ -140,7 +139,7 @@ class PageScene:
         self._centre = np.full(3, np.nan)
 
     def _move_world(self, snapshot: Snapshot) -> None:
-        """Let the world glide by so that the avatar stays in the middle."""
+        """Move the world smoothly so that the avatar stays in the middle."""
         aim = snapshot.position[0] - [0.0, 0.0, 0.53 * snapshot.scenery.height_m]
         elapsed = abs(snapshot.step / 36.0 - self._time_s)
         self._time_s = snapshot.step / 36.0

@@ -1,7 +1,8 @@
-"""The web server of a page: where it listens, and what it does not do.
+"""The web server of a page: its address, and restrictions of viser.
 
-viser serves the page. By itself it takes another port when one is in use, can be asked by any
-viewer to publish the page through a server on the internet, and answers rubbish with a traceback.
+viser serves the page. By default it takes another port when one is in use, lets any viewer publish
+the page through a server on the internet, and answers invalid messages with a traceback. This
+module prevents all three.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _ACCESS: WeakKeyDictionary[viser.ViserServer, Access] = WeakKeyDictionary()
 
 
 def open_server(host: str, port: int, title: str) -> viser.ViserServer:
-    """A server that listens on that address and nowhere else.
+    """A server that listens on exactly the given address.
 
     Args:
         host: an address or name of this machine.
@@ -62,10 +63,10 @@ def close_server(server: viser.ViserServer) -> None:
 
 
 def check_address(host: str, port: int) -> None:
-    """Refuse an address at which no server can listen.
+    """Reject an address on which no server can listen.
 
     Raises:
-        InputError: saying why.
+        InputError: with the reason.
     """
     if not 0 <= port <= 65535:
         raise InputError(f"{port} is not 0 to 65535", "--port")
@@ -91,7 +92,7 @@ def _in_use(port: int) -> InputError:
 
 
 def address_of(server: viser.ViserServer) -> str:
-    """What to type into a browser on this machine; with the token, if one is needed."""
+    """The URL for a browser on this machine, with the token if one is needed."""
     host, access = server.get_host(), _ACCESS.get(server)
     shown = LOOPBACK if host in ("0.0.0.0", "::", "") else host
     address = f"http://{f'[{shown}]' if ':' in shown else shown}:{server.get_port()}"
@@ -135,7 +136,7 @@ def _one_line_for_rubbish() -> None:
 
 
 def warn_if_open(host: str) -> None:
-    """Say on stderr that others can reach the page, if they can."""
+    """Warn on stderr if other machines can reach the page."""
     if not is_loopback(host):
         print(
             f"warning: the page listens on {host} without encryption: whoever has its address, "

@@ -47,7 +47,7 @@ _MARKER_SIZES = {
 
 @dataclass(frozen=True)
 class Figure:
-    """Somebody in the picture.
+    """A figure in the picture.
 
     Attributes:
         height_m: stature in metres.
@@ -62,7 +62,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Marker:
-    """A box where a device is, or another thing that moves.
+    """A marker of a device or an object: a box or an ellipsoid.
 
     Attributes:
         position: ``(3,)`` metres.
@@ -111,10 +111,10 @@ class SceneRenderer:
     """Renders figures in given poses; a context manager that frees the OpenGL context.
 
     Args:
-        figures: who is in the picture.
-        width, height: of the picture in pixels.
-        ground: what they stand on; None for a plane.
-        reach_m: how far from the middle of the picture there are shadows.
+        figures: the figures in the picture.
+        width, height: size of the picture in pixels.
+        ground: the ground; None for a plane.
+        reach_m: radius of the shadows around the middle of the picture.
 
     Raises:
         NoGLError: there is no OpenGL library to render with.
@@ -317,6 +317,6 @@ def _add_arrow(scene: mujoco.MjvScene, arrow: Arrow) -> None:
     mujoco.mjv_initGeom(
         geom, kind, nothing, nothing, np.eye(3).ravel(), np.array(arrow.rgba, np.float32)
     )
-    # MuJoCo draws an arrow half as long as it is told to.
+    # MuJoCo draws an arrow at half the given length.
     mujoco.mjv_connector(geom, kind, arrow.radius, arrow.start, 2.0 * arrow.end - arrow.start)
     scene.ngeom += 1

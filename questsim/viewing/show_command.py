@@ -34,9 +34,9 @@ class ShowArgs:
     columns: int = 8
     """Pictures in a row of the contact sheet."""
     width: int = 640
-    """Of the video in pixels."""
+    """Width of the video in pixels."""
     height: int = 480
-    """Of the video in pixels."""
+    """Height of the video in pixels."""
     stride: int = 1
     """Film every n-th frame; the video keeps its speed."""
 
@@ -76,7 +76,7 @@ def find_clips(name: str, motions: str) -> list[Clip]:
     """The clip called ``name`` in a motion argument, or the clips of the file ``name``.
 
     Raises:
-        InputError: there is none.
+        InputError: no such clip and no such file.
     """
     from questsim.motion.spec import load_motions
 
