@@ -1,4 +1,4 @@
-"""``questsim agents``: every agent and preset, what it reads, how large it is, what is shipped."""
+"""``questsim agents``: list every agent and preset with sensors, size and shipped weights."""
 
 from __future__ import annotations
 

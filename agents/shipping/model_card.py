@@ -1,4 +1,4 @@
-"""The card beside shipped weights: what they are, from what, how good, under which licence."""
+"""The card of shipped weights: description, training data, results and licence."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from questsim.motion.datasets import DATASETS
 from questsim.sensors import sensor_set
 
 NOT_FIGURES = ("real_time_factor",)
-"""What a report has and a card leaves out: it says more of the computer than of the policy."""
+"""Entries of a report that a card omits: they describe the computer, not the policy."""
 
 LICENCE_TEXTS = {
     OURS: "The weights are under the MIT licence, as the code is.",

@@ -1,4 +1,4 @@
-"""How a policy came to be: the runs and stages behind it, their time, and all their data."""
+"""Provenance of a policy: the runs and stages behind it, their time and their data."""
 
 from __future__ import annotations
 

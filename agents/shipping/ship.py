@@ -1,4 +1,4 @@
-"""Putting what was trained among what is shipped, with a card that tells what it is."""
+"""Copy trained weights to the shipped ones and write their card."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class ShipArgs:
     run: Path
     """A run folder, a stage of it, or a checkpoint folder inside it."""
     name: str
-    """What it is called from now on, e.g. by evaluate --agent NAME."""
+    """Its shipped name, e.g. for evaluate --agent NAME."""
     metrics: tuple[Path, ...] = ()
     """Reports of its evaluations, in the order of the card: metrics.json of a policy,
     comparison.json of a kinematic system."""

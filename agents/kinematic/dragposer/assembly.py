@@ -1,4 +1,4 @@
-"""Poses out of what HMD-Poser and LGSIK-Poser answer, compiled: a frame's 22 joints at once.
+"""Compiled conversion of the network outputs of HMD-Poser and LGSIK-Poser to poses of 22 joints.
 
 Rotations in 6D, forward kinematics and quaternions as ``questsim.differentiable`` and SciPy have
 them, in double precision; a frame at a time, PyTorch spends far longer on calls than on numbers.

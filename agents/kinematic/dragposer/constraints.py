@@ -1,4 +1,4 @@
-"""What a user may ask of DragPoser's poses beside the trackers: plain loss functions.
+"""Optional user constraints on DragPoser's poses: plain loss functions.
 
 A constraint takes world positions ``(B, 22, 3)`` and orientations ``(B, 22, 4)`` of all joints and
 answers a loss ``(B,)``, zero where it is met, in squared metres or squared radians.

@@ -1,4 +1,4 @@
-"""DragPoser: all that tables, training and ablations ask of it."""
+"""DragPoser's registry entry: presets, scenarios and ablations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What DragPoser's solver asks again and again: joints of a latent, and how they change with it.
+"""Decoder and forward kinematics of DragPoser's solver: joints of a latent and their derivatives.
 
 The arithmetic of ``DragPoserModule.decode`` and ``joints_from_root`` for a single pose, in NumPy,
 with its derivatives written out: networks this small cost what their calls cost, so there are few.

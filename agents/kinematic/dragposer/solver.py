@@ -68,7 +68,7 @@ _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 
 @dataclass
 class Goal:
-    """What one frame asks for.
+    """The targets of one frame.
 
     Attributes:
         joints: indices of the joints whose trackers report.
@@ -287,15 +287,15 @@ class DragPoser(KinematicSystem):
         return free.numpy()
 
     def _found_again(self, unknowns: np.ndarray, goal: Goal) -> np.ndarray:
-        """The same unknowns, or those of a new beginning where the trackers have been lost."""
+        """The same unknowns, or newly initialised ones if the pose has lost its trackers."""
         if not goal.joints:
             return unknowns
         off = _mean_distance(self._figure(unknowns, goal), goal)
-        # The first frame, and a device that comes back, may be far off at once.
+        # The first frame and a returning device may be far off immediately.
         self._lost_for = self._lost_for + 1 if off > LOST_M else 0
         if self._lost_for < LOST_FRAMES:
             return unknowns
-        # What was not to be had is not asked for again at once: a new beginning takes time.
+        # After a failed restart, wait before the next one: a restart is slow.
         self._lost_for = -PATIENCE
         if HIP not in goal.joints and HEAD not in goal.joints:
             return unknowns
@@ -309,7 +309,7 @@ class DragPoser(KinematicSystem):
             return again
         return unknowns
 
-    # -- what to expect --------------------------------------------------------------------
+    # -- prediction ------------------------------------------------------------------------
 
     def _expected(self, latent: np.ndarray) -> np.ndarray:
         """The latent expected now: on the way to the predicted one, or the last."""

@@ -1,4 +1,4 @@
-"""How DragPoser learns: the pose autoencoder first, then, on its latents, the predictor."""
+"""Training of DragPoser: first the pose autoencoder, then the predictor on its latents."""
 
 from __future__ import annotations
 

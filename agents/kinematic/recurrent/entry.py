@@ -1,4 +1,4 @@
-"""HMD-Poser and LGSIK-Poser: all that tables, training and ablations ask of them."""
+"""Registry entries of HMD-Poser and LGSIK-Poser: presets, scenarios and ablations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What HMD-Poser and LGSIK-Poser read: 135 numbers a frame of headset, controllers and IMUs."""
+"""Input of HMD-Poser and LGSIK-Poser: 135 features per frame of headset, controllers and IMUs."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ class HmdPoserNet(DerivedWeights):
         self.shape = _head(wide, spec.head_hidden, NUM_BONES) if spec.shape_head else None
 
     def last_layers(self) -> list[nn.Linear]:
-        """Those that answer rotations."""
+        """The layers that output rotations."""
         layer = self.pose[-1]
         assert isinstance(layer, nn.Linear)
         return [layer]

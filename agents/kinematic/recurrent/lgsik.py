@@ -159,7 +159,7 @@ class LgsikNet(nn.Module):
         )
 
     def last_layers(self) -> list[nn.Linear]:
-        """Those that answer rotations."""
+        """The layers that output rotations."""
         last = [head[-1] for head in self.heads if isinstance(head, nn.Sequential)]
         return [layer for layer in last if isinstance(layer, nn.Linear)]
 

@@ -1,4 +1,4 @@
-"""What HMD-Poser and LGSIK-Poser share: streaming with carried states, bodies, losses."""
+"""Shared parts of HMD-Poser and LGSIK-Poser: streaming with LSTM states, bodies, losses."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class RecurrentModule(nn.Module):
         self.net = HmdPoserNet(spec) if isinstance(spec, HmdPoserSpec) else LgsikNet(spec)
         self.register_buffer("template", torch.zeros(NUM_JOINTS, 3))
         for layer in self.net.last_layers():
-            # A person who stands straight is a better beginning than one folded up.
+            # Start training from a straight standing pose.
             layer.bias.data.copy_(torch.tensor([1.0, 0, 0, 0, 1, 0]).repeat(len(layer.bias) // 6))
             layer.weight.data.mul_(0.1)
 

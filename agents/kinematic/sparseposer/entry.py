@@ -1,4 +1,4 @@
-"""SparsePoser: all that tables, training and ablations ask of it."""
+"""SparsePoser's registry entry: presets, scenarios and ablations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How SparsePoser learns: the generator first, then, with it frozen, the limbs' IK."""
+"""Training of SparsePoser: first the generator, then the limbs' IK with the generator frozen."""
 
 from __future__ import annotations
 
