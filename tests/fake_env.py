@@ -118,5 +118,5 @@ class FakeVecEnv(VecEnv):
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kw: Any) -> list[Any]:
         return [getattr(self, method_name)(*args, **kw)]
 
-    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> Sequence[bool]:
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> Sequence[bool]:  # type: ignore
         return [False] * self.num_envs

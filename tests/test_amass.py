@@ -148,7 +148,7 @@ def test_root_orient_and_pose_body_give_what_poses_give(tmp_path):
 
 @pytest.mark.parametrize("key", ["mocap_frame_rate", "framerate", "frame_rate"])
 def test_the_frame_rate_is_found_under_each_of_its_names_or_declared(key, tmp_path):
-    path = write_amass(tmp_path / "a.npz", mocap_framerate=None, **{key: np.array(100.0)})
+    path = write_amass(tmp_path / "a.npz", mocap_framerate=None, **{key: np.array(100.0)})  # type: ignore
     assert read_motion(path)[0].fps == 100.0
     path = write_amass(tmp_path / "b.npz", mocap_framerate=None)
     assert read_motion(path, ReadOptions(fps=50.0))[0].fps == 50.0

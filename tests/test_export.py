@@ -171,14 +171,14 @@ def test_height_in_centimetres_is_clamped_and_lost_tracking_gives_no_torques(fil
         return session.run(["torque"], raw_state(sim) | changes)[0]
 
     tall = np.full((3, 1), 175.0, np.float32)
-    np.testing.assert_allclose(torque(height_m=tall), torque(height_m=np.full_like(tall, 2.2)))
-    assert (abs(torque(height_m=tall)) <= build_body(2.2).torque_limits * 1.0001).all()
+    np.testing.assert_allclose(torque(height_m=tall), torque(height_m=np.full_like(tall, 2.2)))  # type: ignore
+    assert (abs(torque(height_m=tall)) <= build_body(2.2).torque_limits * 1.0001).all()  # type: ignore
     lost = raw_state(sim)["device_position"].copy()
     lost[1, 2, 0, 1] = np.nan
     lost[2, 0, 1] = np.inf
     given = torque(device_position=lost)
-    np.testing.assert_array_equal(given[0], torque()[0])
-    np.testing.assert_array_equal(given[1:], 0.0)
+    np.testing.assert_array_equal(given[0], torque()[0])  # type: ignore
+    np.testing.assert_array_equal(given[1:], 0.0)  # type: ignore
 
 
 def test_graph_drives_a_plain_simulator_as_the_policy_drives_the_environment(files):

@@ -78,7 +78,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     yield tmp_path
     for table, entries in zip(tables, before, strict=True):
         table.clear()
-        table.update(entries)
+        table.update(entries)  # type: ignore
     del families.FAMILIES[families._OWN :]
     reward.RewardConfig.__dataclass_fields__ = reward._options()
     datasets.manifest.cache_clear()

@@ -265,7 +265,7 @@ def test_the_estimated_pose_has_the_devices_where_they_are():
     frame = int(clip.qpos[:, 2].argmin())
     at, turned = device_poses(clip.link_position[frame], clip.link_quat[frame], names, 1.6)
     qpos = estimated_pose(names, at, turned, 1.6)
-    got, _ = device_poses(*(x[0] for x in link_poses(qpos[None], 1.6)), names, 1.6)
+    got, _ = device_poses(*(x[0] for x in link_poses(qpos[None], 1.6)), names, 1.6)  # type: ignore
     assert np.linalg.norm(got - at, axis=-1).max() < 0.08
 
 
@@ -286,7 +286,7 @@ def people(count, arms_deg=1.0):
             eyes_m=rng.normal(0.0, 0.006),
             arms_deg=(left, right),
             arms_ahead_deg=tuple(rng.normal(0.0, arms_deg, 2)),
-            mounts=mounts,
+            mounts=mounts,  # type: ignore
             noise_m=0.002,
             noise_rad=0.01,
             seed=number,

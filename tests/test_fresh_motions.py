@@ -41,7 +41,7 @@ def test_an_environment_goes_on_with_other_clips():
     env = QuestVecEnv(CLIPS[:1], EnvConfig(), num_envs=3, seed=0)
     env.reset()
     env.change_clips(CLIPS[1:], seed=1)
-    assert env.reset().shape == (3, env.observation_space.shape[0])
+    assert env.reset().shape == (3, env.observation_space.shape[0])  # type: ignore
     assert env.sim.reference.names == ("long",)
     env.close()
 
