@@ -154,7 +154,7 @@ def calibrate(
         height_m: stature, if known. If the headset is then more than 15 cm off its expected
             height, the origin is assumed not to be on the floor, and the floor height is computed.
         floor_m: height of the floor in the devices' space, if it is not 0.
-        pose: ``"hanging"`` arms, or ``"a-pose"``, 30 degrees apart.
+        pose: ``"hanging"`` arms, or ``"a-pose"``, each arm 30 degrees from the body.
 
     Raises:
         InputError: too few frames; or the user moves, looks aside or has no human stature.
