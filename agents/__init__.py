@@ -4,8 +4,9 @@
 Public names are imported on first use, so that importing a submodule loads nothing else.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from questsim.lazy import imported_on_use
 
 if TYPE_CHECKING:
     from agents.agent import Agent
@@ -20,8 +21,4 @@ _HOMES = {
 }
 __all__ = ["Agent", "PolicyAgent", "Tracker", "load_agent"]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+__getattr__ = imported_on_use(__name__, _HOMES)

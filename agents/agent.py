@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any, Protocol
 
 import numpy as np
 
+from questsim.lazy import imported_on_use
 from questsim.skeleton import NUM_DOFS
 
 
@@ -93,10 +93,6 @@ _ELSEWHERE = {
     "Tracker": "agents.policy.policy_agent",
     "load_agent": "agents.loading",
 }
+"""Public names that are available here and in ``agents``."""
 
-
-def __getattr__(name: str) -> Any:
-    """Import on first use the public names that are available here and in ``agents``."""
-    if name not in _ELSEWHERE:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_ELSEWHERE[name]), name)
+__getattr__ = imported_on_use(__name__, _ELSEWHERE)

@@ -8,10 +8,10 @@ first use, so registration loads neither MuJoCo nor PyTorch.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from envs.registration import register
+from questsim.lazy import imported_on_use
 
 if TYPE_CHECKING:
     from envs.config import EnvConfig
@@ -40,26 +40,21 @@ __all__ = [
 ]
 
 _MODULES = {
-    "BatchSim": "core",
-    "EnvConfig": "config",
-    "KinematicVecEnv": "kinematic",
-    "Pushes": "pushes",
-    "QuestEnv": "gym",
-    "QuestVecEnv": "sb3",
-    "QuestVectorEnv": "vector",
-    "Randomisation": "randomisation",
-    "Terrain": "terrain",
-    "WorldObject": "objects",
-    "terrain_named": "terrain",
+    "BatchSim": "envs.core",
+    "EnvConfig": "envs.config",
+    "KinematicVecEnv": "envs.kinematic",
+    "Pushes": "envs.pushes",
+    "QuestEnv": "envs.gym",
+    "QuestVecEnv": "envs.sb3",
+    "QuestVectorEnv": "envs.vector",
+    "Randomisation": "envs.randomisation",
+    "Terrain": "envs.terrain",
+    "WorldObject": "envs.objects",
+    "terrain_named": "envs.terrain",
 }
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module 'envs' has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"envs.{_MODULES[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = imported_on_use(__name__, _MODULES)
 
 
 def __dir__() -> list[str]:

@@ -3,8 +3,9 @@
 Public names are imported on first use, so that importing a submodule loads nothing else.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from questsim.lazy import imported_on_use
 
 if TYPE_CHECKING:
     from agents.commands.evaluate import evaluate
@@ -22,8 +23,4 @@ _HOMES = {
 }
 __all__ = ["EvaluateArgs", "Recorder", "env_config", "evaluate", "evaluation_context", "roll_out"]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+__getattr__ = imported_on_use(__name__, _HOMES)

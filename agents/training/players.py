@@ -21,12 +21,12 @@ AfterStep = Callable[[np.ndarray, np.ndarray, list[dict[str, Any]]], bool]
 """Called after each step with rewards ``(n,)``, dones ``(n,)`` and infos; False ends it all."""
 
 
-class PolicyPlayer:
-    """Lets a policy act with its exploration noise, and keeps what happened.
+class _Player:
+    """The batch that is played, the random numbers, and where the last rollout ended.
 
     Args:
-        env: a stable-baselines3 VecEnv of ``n`` avatars.
-        seed: of the noise.
+        env: a stable-baselines3 VecEnv.
+        seed: of the random numbers.
         workers: threads of the networks.
     """
 
@@ -34,6 +34,26 @@ class PolicyPlayer:
         self.env, self._workers = env, workers
         self.generator = torch.Generator().manual_seed(seed)
         self.observation: np.ndarray | None = None
+
+    def get_state(self) -> dict[str, Any]:
+        """The state of the random numbers; the environment keeps its episodes itself."""
+        return {"generator": self.generator.get_state()}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Take up what ``get_state`` gave; the environment's restored episodes go on."""
+        if "generator" in state:  # a training with workers has it elsewhere
+            self.generator.set_state(state["generator"])
+        self.observation = None
+
+
+class PolicyPlayer(_Player):
+    """Lets a policy act with its exploration noise, and keeps what happened.
+
+    Args:
+        env: a stable-baselines3 VecEnv of ``n`` avatars.
+        seed: of the noise.
+        workers: threads of the networks.
+    """
 
     def play(
         self, policy: TorquePolicy, buffer: TensorRolloutBuffer, after: AfterStep
@@ -69,18 +89,8 @@ class PolicyPlayer:
                 return None
         return truncated
 
-    def get_state(self) -> dict[str, Any]:
-        """The state of the noise; episodes are the environment's."""
-        return {"generator": self.generator.get_state()}
 
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Take up what ``get_state`` gave; the environment's restored episodes go on."""
-        if "generator" in state:  # of a training with workers they have it
-            self.generator.set_state(state["generator"])
-        self.observation = None
-
-
-class StudentPlayer:
+class StudentPlayer(_Player):
     """Lets a student act, partly its teacher, and asks the teacher what it would have done.
 
     Args:
@@ -100,12 +110,10 @@ class StudentPlayer:
         seed: int,
         workers: Workers,
     ) -> None:
-        self.env, self.teacher, self.student = env, teacher, student
-        self._exploration, self._workers = exploration, workers
-        self.generator = torch.Generator().manual_seed(seed)
+        super().__init__(env, seed, workers)
+        self.teacher, self.student, self._exploration = teacher, student, exploration
         self.inputs = max(stop for _, stop in student.layout.blocks.values())
         self.noise = teacher.log_std.detach().exp()
-        self.observation: np.ndarray | None = None
 
     def play(self, steps: int, teacher_share: float, after: AfterStep) -> tuple[Tensor, Tensor]:
         """Sparse observations ``(steps * n, D)`` of visited states and the teacher's actions there.
@@ -134,16 +142,6 @@ class StudentPlayer:
             self.observation = np.asarray(new)
             after(rewards, dones, infos)
         return torch.cat(visited), torch.cat(labels)
-
-    def get_state(self) -> dict[str, Any]:
-        """The state of noise and mixing; episodes are the environment's."""
-        return {"generator": self.generator.get_state()}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Take up what ``get_state`` gave; the environment's restored episodes go on."""
-        if "generator" in state:  # of a training with workers they have it
-            self.generator.set_state(state["generator"])
-        self.observation = None
 
 
 def _mean(policy: TorquePolicy, obs: Tensor) -> Tensor:
