@@ -1,7 +1,7 @@
 """AMASS files: SMPL poses (``poses``, ``trans``, ``betas``, ``mocap_framerate``) as .npz.
 
-The poses need a skeleton. With a SMPL model file it is the subject's own; without one it is
-built from published body proportions, scaled to the subject's stature.
+The poses need a skeleton. A SMPL model file gives the subject's own. Without one, a skeleton of
+published body proportions is scaled to the subject's stature.
 
 Source: Mahmood et al., "AMASS: Archive of Motion Capture as Surface Shapes", ICCV 2019; Loper et
 al., "SMPL: A Skinned Multi-Person Linear Model", SIGGRAPH Asia 2015 (joints and pose vector).
@@ -59,9 +59,9 @@ FRAME_RATE_KEYS = (
     "mocap_framerate", "mocap_frame_rate", "framerate", "frame_rate", "mocap_fps", "fps"
 )  # fmt: skip
 SMPL_KEYS = ("J_regressor", "v_template", "shapedirs")
-"""What of a SMPL model is read."""
+"""The arrays that are read from a SMPL model."""
 MAX_ARRAY_BYTES = 256 << 20
-"""An array larger than 256 MiB is refused: AMASS's longest files take a third of it."""
+"""Larger arrays are rejected; AMASS's longest files need a third of 256 MiB."""
 PLAUSIBLE_STATURE_M = (1.40, 2.10)
 
 
@@ -160,7 +160,7 @@ def estimate_stature(recording: Recording) -> float:
 
 
 def _load_arrays(path: Path) -> dict[str, np.ndarray]:
-    """The file's arrays that matter, as floats."""
+    """The required arrays of the file, as floats."""
     with open_npz(path, MAX_ARRAY_BYTES) as archive:
         if "poses" not in archive.files:
             lacking = [key for key in ("root_orient", "pose_body") if key not in archive.files]

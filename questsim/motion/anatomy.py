@@ -1,4 +1,4 @@
-"""Is a motion one of a human body: bones of human proportions, joints that bend the right way?"""
+"""Checks that a motion has human bone proportions and joints that bend the right way."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ RATIOS: tuple[tuple[str, tuple[str, ...], tuple[str, ...], float, float], ...] =
     ("arm and leg", ("elbow", "wrist"), ("knee", "ankle"), 0.35, 1.1),
     ("foot and shin", ("toe",), ("ankle",), 0.05, 0.9),
 )
-"""Name, bones that are compared (each named by its lower joint), least and largest ratio.
+"""Name, compared bones (each named by its lower joint), smallest and largest ratio.
 
 Of people they are 0.8-1.1, 0.7-0.9, 0.6-0.75 and 0.4-0.5 (Drillis and Contini 1966); skeletons of
-mocap software differ more, since they put joints where it suits them.
+mocap software differ more, because their joints are placed differently.
 """
 MAX_ASYMMETRY = 0.3
 """Largest difference between left and right limbs as a share of their mean."""
 MIN_ELBOW = 0.4
-"""Mean backward bend of both elbows that no one does; hands held behind the back stay below."""
+"""An implausible mean backward bend of both elbows; hands behind the back stay below it."""
 MIN_BEND = 0.2
 """A limb must bend by this much (sine) on average before its direction counts."""
 
 
 def anatomy_problems(motion: Motion) -> list[str]:
-    """One clause for each thing that is not human about a motion; empty if all is well."""
+    """One clause for each anatomical implausibility; empty if there is none."""
     length = {
         name: float(np.linalg.norm(motion.offsets[joint])) for joint, name in enumerate(JOINTS)
     }
@@ -48,7 +48,7 @@ def _total(length: dict[str, float], bones: tuple[str, ...]) -> float:
 
 
 def _bends(motion: Motion) -> list[str]:
-    """Knees and elbows that bend backwards, against the front that hips and toes show."""
+    """Knees and elbows that bend backwards relative to the front given by hips and toes."""
     position, _ = motion.forward_kinematics()
 
     def at(name: str) -> np.ndarray:
@@ -60,7 +60,7 @@ def _bends(motion: Motion) -> list[str]:
             at(f"{side}_{b}") - at(f"{side}_{a}") for a, b in (("hip", "knee"), ("knee", "ankle"))
         )
         foot = at(f"{side}_toe") - at(f"{side}_ankle")
-        # Where the knee is ahead of the line from hip to ankle, the toes point that way.
+        # The toes must point to the side where the knee is off the line from hip to ankle.
         ahead = _unit(thigh) - _unit(shin)
         along = _unit(shin)
         foot = _unit(foot - np.sum(foot * along, axis=-1, keepdims=True) * along)

@@ -1,8 +1,8 @@
-"""BVH files, read strictly: whatever is not as the format prescribes is refused with its line.
+"""Strict reader of BVH files: any deviation from the format is an error that names the line.
 
 Source: Meredith and Maddock, "Motion Capture File Formats Explained", University of Sheffield
 2001. Joints may have any of the six channels, in any order. Position channels of a joint replace
-its offset; where they stay near zero they are added to it, as some exporters mean them.
+its offset; if they stay near zero, they are added to it, as some exporters intend.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ def read_bvh(path: str | Path, fps: float | None = None) -> Recording:
 
     Args:
         path: the file.
-        fps: the true frame rate, which makes the frame time be ignored.
+        fps: the true frame rate; it overrides the file's frame time.
 
     Raises:
-        InputError: the file is missing, empty, truncated or not what BVH prescribes; the
-            message names the line.
+        InputError: the file is missing, empty, truncated or not valid BVH; the message names the
+            line.
     """
     path = Path(path)
     data = read_bytes(path)
@@ -76,7 +76,7 @@ def read_bvh(path: str | Path, fps: float | None = None) -> Recording:
 
 
 def _nominal_fps(fps: float) -> float:
-    """``fps`` or, within 0.05 %, the whole number that a rounded frame time stood for."""
+    """``fps``, rounded to a whole number if within 0.05 % of it (a rounded frame time)."""
     nearest = round(fps)
     return float(nearest) if nearest and abs(fps - nearest) < 5e-4 * nearest else fps
 
@@ -145,7 +145,7 @@ def _read_hierarchy(lines: list[str], path: Path) -> tuple[_Header, int]:
 
 
 def _parts(words: list[str]) -> list[list[str]]:
-    """A line's words, cut where a brace, or after one another keyword, begins."""
+    """Splits a line's words at braces and before the keywords OFFSET and CHANNELS."""
     parts: list[list[str]] = []
     for word in words:
         after_brace = bool(parts) and parts[-1][0] in "{}"
@@ -158,7 +158,7 @@ def _parts(words: list[str]) -> list[list[str]]:
 
 
 class _HierarchyReader:
-    """Takes the HIERARCHY block line by line.
+    """Parses the HIERARCHY block line by line.
 
     Attributes:
         header: what has been read.
@@ -329,7 +329,7 @@ def _read_values(rows: list[tuple[int, str]], num_channels: int, path: Path) -> 
             )
     values = np.empty((len(rows), num_channels))
     try:
-        # Many rows at a time are ten times faster than one, all at once take much memory.
+        # Parsing in blocks is ten times faster than row by row; all rows at once need much memory.
         for begin in range(0, len(rows), CHUNK):
             chunk = [line for _, line in rows[begin : begin + CHUNK]]
             numbers = np.array(" ".join(chunk).split(), float)

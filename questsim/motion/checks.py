@@ -1,4 +1,4 @@
-"""Is a recording in metres, z up, the right way round and at its true speed?"""
+"""Checks the units, the up axis, the front and the speed of a recording."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ FLOOR_TOLERANCE_M = 0.5
 CLEAR_M = 0.04
 MIN_FLIGHT_FRAMES, MAX_FLIGHT_S = 4, 1.5
 STANDING_SPEED = 0.4
-"""m/s; a foot slower than this for half of a flight stands on something."""
+"""m/s; a foot slower than this for half of a flight is standing on something."""
 MIN_FLIGHTS = 3
 MIN_RISE_M, MAX_MISFIT, MAX_DISAGREEMENT = 0.01, 0.1, 1.0
 """Of a flight: rise of the centre of mass, its distance from a parabola as a share of the rise,
 and how far flights may differ as a share of their median."""
 GRAVITY_RANGE = (5.0, 18.0)
-"""What free fall may measure in m/s^2.
+"""Accepted range of measured free fall in m/s^2.
 
 In the Bandai-Namco running clips, flights of 4 to 5 frames measure 8.5 to 12.9. A frame rate
 wrong by a factor of 1.5 or more leaves this range, since it counts squared.
@@ -63,7 +63,7 @@ MAX_ROOT_SPEED = 13.0
 
 @dataclass(frozen=True)
 class Report:
-    """What a recording was taken for, and what does not fit.
+    """How a recording was interpreted, and which checks it fails.
 
     Attributes:
         units, up: of the file, e.g. ``"cm"`` and ``"y"``, each with how it was known.
@@ -72,10 +72,10 @@ class Report:
         facing_deg: the mean heading in our axes, 0 along +x, 90 along +y.
         foot_height_m: height of the lowest foot joint.
         gravity: measured free fall in m/s^2; None where no flight was seen.
-        problems: one clause for each thing that does not fit; empty if all is well.
+        problems: one clause for each failed check; empty if all pass.
         notes: what was assumed or changed in reading, one clause each.
-        skeleton: the family that the file's skeleton was taken for.
-        explanation: lines that say which joint was taken for what, and why.
+        skeleton: the family of the file's skeleton.
+        explanation: one line for each joint: its mapping and the reason.
     """
 
     units: str
@@ -103,8 +103,8 @@ class Report:
 def stature(motion: Motion) -> float:
     """The performer's height in metres, from bone lengths alone.
 
-    The mean of what the legs and what the chain from the ankles to the head joint say: where a
-    skeleton's makers put the head and neck joints differs too much to trust the chain alone.
+    The mean of two estimates, from the legs and from the chain between ankles and head joint.
+    Skeletons place head and neck joints too differently to trust the chain alone.
     """
     return stature_of(motion.offsets)
 
@@ -117,7 +117,7 @@ def stature_of(offsets: np.ndarray) -> float:
 
 
 def check(motion: Motion, units: str = "m", up: str = "z") -> Report:
-    """Holds a motion against physics and anatomy; ``units`` and ``up`` are for the report."""
+    """Checks a motion against physics and anatomy; ``units`` and ``up`` are only reported."""
     position, quat = motion.forward_kinematics()
     height, gravity = stature(motion), free_fall(motion, position)
     low = float(np.percentile(_feet(position)[..., 2].min(axis=(1, 2)), 2))
@@ -128,7 +128,7 @@ def check(motion: Motion, units: str = "m", up: str = "z") -> Report:
 
 
 def refuse(report: Report, where: str) -> None:
-    """Raises InputError with all that does not fit."""
+    """Raises an InputError that lists all failed checks."""
     if report.problems:
         fix = "declare --units, --up or --fps, or --accept the file as it is"
         raise InputError("; ".join(report.problems), where, fix)
@@ -169,7 +169,7 @@ def _problems(motion: Motion, position: np.ndarray, report: Report) -> list[str]
 
 
 def upright_share(position: np.ndarray, up: np.ndarray) -> float:
-    """Cosine between ``up`` and ankles-to-head where the body stands straightest.
+    """Cosine between ``up`` and ankles-to-head in the most upright frames.
 
     Args:
         position: joints ``(T, 22, 3)``.
@@ -182,7 +182,7 @@ def upright_share(position: np.ndarray, up: np.ndarray) -> float:
 
 
 def toes_ahead(position: np.ndarray) -> float:
-    """Median cosine between ankle-to-toe and the front that left hip, right hip and head give.
+    """Median cosine between ankle-to-toe and the front given by both hips and the head.
 
     The body's upward direction is that from the ankles to the head, since a runner's trunk may be
     bent far forward. Each foot counts where it is in the lower half of its heights: a foot that

@@ -1,4 +1,4 @@
-"""From a recording on its own skeleton to a ``Motion`` on ours, by constant rotations."""
+"""Converts a recording on its own skeleton to a ``Motion`` on ours by constant rotations."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ STRAIGHT: dict[str, tuple[str, np.ndarray]] = {
 """Limbs that the T-pose stretches: the joint at the bone's end, and the bone's direction."""
 
 MAX_STRETCH_M = 0.02
-"""Joints may shift in their parents by as much, in files that give the positions of all joints."""
+"""How far joints may shift in their parents, in files with positions of all joints."""
 MIN_BONE = 0.02
-"""A limb's bone shorter than this share of the longest has no direction."""
+"""A limb bone shorter than this share of the longest one has no usable direction."""
 TOE_AHEAD, TOE_BELOW = 0.076, 0.030
 """Ball of the foot from the ankle as fractions of stature (see ``amass``), without toes."""
 
@@ -76,22 +76,22 @@ def global_pose(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
 def to_motion(recording: Recording, family: Family, metres: float, up: str, **meta: str) -> Motion:
     """The recording on the 22-joint skeleton.
 
-    Joint positions are kept to within rounding where the file's bones are rigid.
+    Joint positions are kept to within rounding if the file's bones are rigid.
 
     Args:
         recording: the motion as the file has it.
-        family: which file joint is which, and how its axes lie in the T-pose.
-        metres: metres a unit of the file.
+        family: the joint mapping, and the joint axes in the T-pose.
+        metres: metres per file unit.
         up: the file's up axis, ``"y"``, ``"-z"``, ...
         **meta: ``kind``, ``style``, ``licence`` of the ``Motion``.
 
     Raises:
-        InputError: a joint of the family is not in the file, or bones change their length.
+        InputError: a joint of the family is not in the file, or bones change length.
     """
     where = str(recording.path)
     index = _file_joints(recording, family)
     positions, orientations = global_pose(recording)
-    # By joint of ours, since a file may lack some: places in metres, turns in the file's frame.
+    # Keyed by our joints, since a file may lack some: positions (m), turns in the file's frame.
     places = {j: positions[:, column] * metres for j, column in index.items()}
     own = {j: orientations[:, column] for j, column in index.items()}
     rest = _rest_rotations(family, bones(places, own), where)
@@ -126,7 +126,7 @@ def to_motion(recording: Recording, family: Family, metres: float, up: str, **me
 
 
 def _file_joints(recording: Recording, family: Family) -> dict[int, int]:
-    """For each joint of ours that the file has, its number in the file."""
+    """File index of each of our joints that the file has."""
     index = {}
     for ours, theirs in family.joints.items():
         if theirs not in recording.names:
@@ -138,7 +138,7 @@ def _file_joints(recording: Recording, family: Family) -> dict[int, int]:
 
 
 def bones(places: dict[int, np.ndarray], own: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
-    """Each joint's place in its nearest mapped parent's frame, the median over time ``(3,)``."""
+    """Median position ``(3,)`` of each joint in the frame of its nearest mapped parent."""
     out = {}
     for joint, place in places.items():
         parent = _mapped_parent(joint, places)
@@ -149,7 +149,7 @@ def bones(places: dict[int, np.ndarray], own: dict[int, np.ndarray]) -> dict[int
 
 
 def _local(turned: np.ndarray) -> np.ndarray:
-    """Rotations in the parents ``(T, 22, 4)`` of orientations in the world ``(T, 22, 4)``."""
+    """Local rotations ``(T, 22, 4)`` from world orientations ``(T, 22, 4)``."""
     local = turned.copy()
     for joint in range(1, NUM_JOINTS):
         local[:, joint] = rot.quat_multiply(
@@ -172,8 +172,8 @@ def _rest_rotations(
 ) -> dict[int, np.ndarray]:
     """For each mapped joint our T-pose axes as columns in the joint's own frame ``(3, 3)``.
 
-    Limb bones that are not quite straight in the family's rest pose are turned to be so by the
-    shortest way, which leaves the hinge axes of knees and elbows lateral and vertical.
+    Limb bones that are not straight in the family's rest pose are straightened by the shortest
+    rotation, so that the hinge axes of knees and elbows stay lateral and vertical.
     """
     rest, straightened = {}, {}
     longest = max(float(np.linalg.norm(bone)) for bone in bones.values())
@@ -214,7 +214,7 @@ def _shortest_turn(vector: np.ndarray, onto: np.ndarray) -> np.ndarray:
 
 
 def _check_rigid(recording: Recording, mapped: Container[int], metres: float) -> None:
-    """Refuses bones that change their length, in files that give the places of all joints."""
+    """Rejects bones that change length, in files with positions of all joints."""
     length = np.linalg.norm(recording.positions, axis=-1) * metres
     for joint, parent in enumerate(recording.parents):
         above = int(parent)
@@ -255,8 +255,8 @@ def _offsets(
 ) -> np.ndarray:
     """Offsets ``(22, 3)`` of all joints in their parents; missing ones are put halfway.
 
-    Where a joint's place in its parent varies (the file bends at a joint that we lack), the
-    parent is turned in ``turned`` to point at it, if it has no other child.
+    If a joint's position in its parent varies (the file bends at a joint that we lack) and the
+    parent has no other child, the parent is rotated in ``turned`` to point at it.
     """
     offsets = np.zeros((NUM_JOINTS, 3))
     placed = dict(placed)

@@ -45,11 +45,11 @@ JOINTS: tuple[tuple[str, int, tuple[float, float, float], int, int], ...] = (
 NUM_VALUES = 44
 MAX_DURATION_S = 0.5
 QUATERNION_LENGTHS = (0.3, 3.0)
-"""A quaternion of another length is an error; some released files blend them unnormalised."""
+"""Accepted range of quaternion norms; some released files blend them without normalising."""
 
 
 def is_deepmimic(path: Path) -> bool:
-    """Whether a text file looks like DeepMimic's: a JSON object that has ``Frames``."""
+    """Whether a text file is DeepMimic's: a JSON object with ``Frames``."""
     try:
         with path.open("rb") as file:
             start = file.read(4096)
@@ -61,12 +61,12 @@ def is_deepmimic(path: Path) -> bool:
 def read_deepmimic(path: str | Path, fps: float | None = None) -> Recording:
     """Reads one DeepMimic file.
 
-    Frames of different durations are put on the most frequent one, by linear positions and
-    slerped rotations. The last frame's duration has no meaning and may be zero.
+    Frames of different durations are resampled to the most frequent one, with linear positions
+    and slerped rotations. The last frame's duration is ignored and may be zero.
 
     Args:
         path: the file.
-        fps: the true frame rate, which makes the durations be ignored.
+        fps: the true frame rate; it overrides the durations.
 
     Raises:
         InputError: the file is missing, not JSON, not of the humanoid, or has bad numbers.
@@ -133,7 +133,7 @@ def _frames(text: str, path: Path) -> np.ndarray:
 
 
 def _times(frames: np.ndarray, path: Path) -> np.ndarray:
-    """When each frame is, in seconds ``(T,)``."""
+    """Time of each frame in seconds ``(T,)``."""
     durations = frames[:-1, 0]
     bad = np.flatnonzero((durations <= 0) | (durations > MAX_DURATION_S))
     if len(bad):

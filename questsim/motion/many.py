@@ -1,4 +1,4 @@
-"""Many motion files at once: what cannot be used is skipped, said and counted."""
+"""Reads many motion files; unusable files are skipped, reported and counted."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ if TYPE_CHECKING:
     from questsim.motion.stance_figures import StanceFigures
 
 MAX_ERROR_CM = 15.0
-"""A recognised skeleton whose clip is further off in any joint, on average, is refused."""
+"""A recognised skeleton is rejected if any joint of its clip has a larger mean error."""
 MANY = 64
-"""From this many files on a progress bar is shown, and processes are used if they are allowed."""
+"""From this many files on, a progress bar is shown and processes are used if allowed."""
 MAX_SHOWN = 20
-"""Skipped files of a motion argument that are named one by one."""
+"""How many skipped files of a motion argument are listed by name."""
 
 _Named = TypeVar("_Named", Motion, Clip)
 
 
 @dataclass(frozen=True)
 class Retargeted:
-    """What ``read_and_retarget`` makes of a file; errors and feet if asked for."""
+    """The result of ``read_and_retarget``; errors and feet if requested."""
 
     motion: Motion
     clip: Clip
@@ -46,7 +46,7 @@ class Retargeted:
     stance: StanceFigures | None = None
 
     def named(self, name: str) -> Retargeted:
-        """The same under another name."""
+        """A copy with another name."""
         return replace(self, motion=named(self.motion, name), clip=named(self.clip, name))
 
 
@@ -83,13 +83,13 @@ def read_and_retarget(path: Path, options: ReadOptions, with_error: bool = False
 
 
 def check_fit(motion: Motion, clip: Clip, path: Path) -> None:
-    """Refuses a recognised skeleton whose clip is far from its motion.
+    """Rejects a recognised skeleton if its clip is far from its motion.
 
-    What the retargeted T-pose is off by is the difference between the performer's proportions and
-    the avatar's; it is taken off.
+    The error of the retargeted T-pose is the difference between the performer's and the avatar's
+    proportions; it is subtracted first.
 
     Raises:
-        InputError: a joint is further off than ``MAX_ERROR_CM`` on average.
+        InputError: the mean error of a joint is above ``MAX_ERROR_CM``.
     """
     from questsim.motion.retarget import retargeting_error, to_clip
 
@@ -140,7 +140,7 @@ def read_many(
 
 @lru_cache(maxsize=64)
 def say_skipped(part: str, total: int, messages: tuple[str, ...]) -> None:
-    """Print on stderr what of a motion argument was skipped; once for each state of it."""
+    """Print the skipped files of a motion argument on stderr, once for each state of it."""
     for message in messages[:MAX_SHOWN]:
         print(f"warning: skipped {message}", file=sys.stderr)
     print(f"warning: {len(messages)} of {total} files in {part} skipped", file=sys.stderr)

@@ -9,10 +9,10 @@ from pathlib import Path
 
 
 def unique_names(stems: Sequence[str], folders: Sequence[tuple[str, ...]]) -> list[str]:
-    """Names without twins: equal ones get as many folder names before them as it takes.
+    """Unique names: equal ones are prefixed with as many folder names as needed.
 
-    ``a/walk.bvh`` and ``b/walk.bvh`` become ``a-walk`` and ``b-walk``. Names that are equal still,
-    as of one file named twice, are numbered from the second on.
+    ``a/walk.bvh`` and ``b/walk.bvh`` become ``a-walk`` and ``b-walk``. Names that are still
+    equal, e.g. of a file given twice, are numbered from the second on.
 
     Args:
         stems: the names.
@@ -31,7 +31,7 @@ def unique_names(stems: Sequence[str], folders: Sequence[tuple[str, ...]]) -> li
 
 
 def _telling_depth(folders: Sequence[tuple[str, ...]]) -> int:
-    """How many of the innermost folders tell as many places apart as all of them do."""
+    """How many of the innermost folders distinguish as many paths as all folders do."""
     places = len(set(folders))
     deepest = max(map(len, folders))
     return next(
@@ -40,7 +40,7 @@ def _telling_depth(folders: Sequence[tuple[str, ...]]) -> int:
 
 
 def numbered(names: Sequence[str]) -> list[str]:
-    """The names; those that came before are numbered from 2 on."""
+    """The names; repeated ones are numbered from 2 on."""
     taken, given = set(names), set[str]()
     out = []
     for name in names:
@@ -60,7 +60,7 @@ def file_names(files: Sequence[Path]) -> list[str]:
 
 
 def place(part: str) -> tuple[str, ...]:
-    """Folder names that tell the motions of a part of a motion argument from those of others."""
+    """Folder names that distinguish one part of a motion argument from the others."""
     if not os.path.exists(part):  # a data set, or synthetic
         return (part.replace(":", "-"),)
     path = Path(os.path.abspath(part))
@@ -74,8 +74,8 @@ def place(part: str) -> tuple[str, ...]:
 def split_parts(spec: str | Sequence[str]) -> list[str]:
     """The parts of a motion argument: split at commas, but not inside the path of a file.
 
-    Where pieces with the commas between them are the path of something that is there, they are
-    one part; the longest such path counts.
+    Pieces that, joined by commas, are an existing path form one part; the longest such path
+    wins.
     """
     parts: list[str] = []
     for entry in [spec] if isinstance(spec, str) else spec:
@@ -88,5 +88,5 @@ def split_parts(spec: str | Sequence[str]) -> list[str]:
 
 
 def _is_path(pieces: Sequence[str]) -> bool:
-    # What begins or ends with a comma is a list with a gap, not a path.
+    # A leading or trailing comma means a list with a gap, not a path.
     return bool(pieces[0].strip()) and os.path.exists(",".join(pieces).strip())

@@ -1,4 +1,4 @@
-"""One motion file of any kind becomes a checked ``Motion``."""
+"""Reads a motion file of any supported format into a checked ``Motion``."""
 
 from __future__ import annotations
 
@@ -35,23 +35,23 @@ from questsim.motion.sources import TEXT_SUFFIXES
 from questsim.skeleton import JOINTS
 
 USUAL_STATURE_M = 1.7
-"""Of units that all make a person the one that makes a person nearest to this height is taken."""
+"""Of several plausible units, the one whose skeleton is nearest to this height is chosen."""
 _CLIP_NAME = re.compile(r"dataset-\d+_(?P<kind>[a-z-]+)_(?P<style>[a-z-]+)_\d+")
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What the user declares about files; None is to detect it.
+    """What the user declares about files; None means that it is detected.
 
     Attributes:
         units: a key of ``families.UNITS``.
         up: the up axis, one of ``UP_AXES``.
         fps: the true frame rate.
         mapping: a mapping file for an unknown skeleton (see ``families.load_mapping``).
-        height_m: the subject's stature, to which the skeleton is scaled.
+        height_m: the subject's stature; the skeleton is scaled to it.
         smpl_file: a SMPL model file, for AMASS files.
         licence: the data's licence.
-        accept: take the file even where it fails the checks.
+        accept: accept the file even if it fails the checks.
     """
 
     units: str | None = None
@@ -83,7 +83,7 @@ def read_motion(
 
     Args:
         path: the file.
-        options: what is declared about it.
+        options: the user's declarations about it.
         family: its skeleton; by default that of ``options.mapping`` or the one recognised.
 
     Raises:
@@ -103,7 +103,7 @@ def read_motion(
 
 
 def _on_floor(motion: Motion, report: Report) -> tuple[Motion, Report]:
-    """Puts a motion whose floor is far from 0 on it, as of files with the hips at the origin."""
+    """Moves a motion far from z = 0 onto the floor, e.g. a file with the hips at the origin."""
     if abs(report.foot_height_m) <= FLOOR_TOLERANCE_M:
         return motion, report
     down = np.array([0.0, 0.0, report.foot_height_m])
@@ -128,7 +128,7 @@ def _read_amass(path: Path, options: ReadOptions) -> tuple[Motion, Report]:
 
 
 def read_recording(path: Path, fps: float | None = None) -> Recording:
-    """A motion file, by its ending, on its own skeleton.
+    """Reads a motion file on its own skeleton; its extension decides the format.
 
     Raises:
         InputError: the file cannot be read.
@@ -142,7 +142,7 @@ def read_recording(path: Path, fps: float | None = None) -> Recording:
 
 
 def explain(path: Path, options: ReadOptions) -> tuple[str, ...]:
-    """Lines that say which joint of a file is taken for which of ours, and why.
+    """One line for each joint: which file joint it is mapped to, and why.
 
     Raises:
         InputError: the file cannot be read, or its skeleton is not recognised.
@@ -179,9 +179,9 @@ def _on_own_skeleton(
 
 
 def _units(recording: Recording, family: Family, options: ReadOptions) -> tuple[float, str]:
-    """Metres a unit of the file, the units and how they are known.
+    """Metres per file unit, the name of the units and how they were determined.
 
-    What a family usually has is believed only if it gives a person's height.
+    A family's usual units are used only if they give a plausible human height.
     """
     if options.units:
         return UNITS[options.units], f"{options.units} (declared)"
@@ -205,7 +205,7 @@ def _units(recording: Recording, family: Family, options: ReadOptions) -> tuple[
 
 
 def _up_axis(recording: Recording, family: Family, options: ReadOptions) -> tuple[str, str]:
-    """The file's up axis and how it is known: where the head is above the feet."""
+    """The file's up axis, along which the head is above the feet, and how it was determined."""
     if options.up:
         return options.up, "declared"
     position, _ = global_pose(some_frames(recording, 200))

@@ -1,10 +1,10 @@
-"""Which joint of a file plays which of ours, by names, hierarchy and bone lengths together.
+"""Maps a file's joints to ours by names, hierarchy and bone lengths together.
 
-Limbs are chains of sided joints. Of each chain every choice of thigh, shin, foot and toe (or
-collarbone, arm, forearm and hand) is tried; the names' words and the bones' lengths give points,
-and the best chains are legs and arms. What lies between the legs' and the arms' common joints
-is the spine, what leads on to the head the neck. Joints that we lack are folded: between spine
-joints that are kept the motion's positions stay, and so it is with necks and twist joints.
+Limbs are chains of sided joints. For each chain, every choice of thigh, shin, foot and toe (or
+collarbone, arm, forearm and hand) is scored by the words in the names and the bone lengths. The
+best chains become legs and arms. The spine lies between the joint that joins the legs and the one
+that joins the arms; the neck leads from there to the head. Extra spine, neck and twist joints are
+folded into the mapped ones, whose positions stay the same.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from questsim.skeleton import JOINTS
 
 MAX_CHAIN = 9
 MIN_POINTS = 1.0
-"""A limb whose names and lengths together give less is none."""
+"""A chain with a lower score of names and lengths is not a limb."""
 END = " End Site"
 MAPPING = "name the joints in a mapping file ('questsim motions mapping' writes a start)"
 
 
 @dataclass(frozen=True)
 class Roles:
-    """Which joint of the file is which of ours.
+    """The mapping from our joints to the file's.
 
     Attributes:
         joints: our joint's name to the file's.
-        reasons: for each of our joints why, or why it is missing.
-        recording: the recording, with the ends of last joints as joints where they play a role.
+        reasons: for each of our joints, why it was mapped so or why it is missing.
+        recording: the recording; ends of leaf joints that have a role are joints of it.
     """
 
     joints: dict[str, str]
@@ -46,7 +46,7 @@ class _Tree:
     names: list[Name]
     parents: list[int]
     place: np.ndarray
-    """Of each joint ``(J, 3)`` with all rotations zero."""
+    """Positions of the joints ``(J, 3)`` with all rotations zero."""
 
     def children(self, joint: int) -> list[int]:
         return [j for j, parent in enumerate(self.parents) if parent == joint]
@@ -59,7 +59,7 @@ class _Tree:
         return out[::-1]
 
     def meet(self, a: int, b: int) -> int:
-        """The last joint that both paths share."""
+        """The lowest common ancestor of two joints."""
         shared = [x for x, y in zip(self.path(a), self.path(b), strict=False) if x == y]
         return shared[-1]
 
@@ -72,7 +72,7 @@ class _Tree:
 
 
 def with_ends(recording: Recording) -> Recording:
-    """The recording with each last joint's end as a joint of its own that does not turn."""
+    """The recording with the end of each leaf joint added as a joint that does not rotate."""
     tips = {j: tip for j, tip in recording.tips.items() if np.linalg.norm(tip) > 0}
     if not tips:
         return recording
@@ -93,7 +93,7 @@ def find_roles(recording: Recording) -> Roles:
     """Finds our joints among the file's.
 
     Raises:
-        InputError: there are no two legs, two arms and a head; the message says what is missing.
+        InputError: two legs, two arms or a head are not found; the message says which.
     """
     recording = with_ends(recording)
     tree = _tree(recording)
@@ -162,7 +162,7 @@ _Limb = tuple[dict[str, int], float]
 
 
 def _limbs(tree: _Tree, part: dict, recording: Recording) -> dict[str, _Limb]:
-    """The best chain of each side for legs or arms; an empty one where there is none."""
+    """The best chain of each side for legs or arms; empty if there is none."""
     out: dict[str, _Limb] = {"left": ({}, MIN_POINTS), "right": ({}, MIN_POINTS)}
     for start, name in enumerate(tree.names):
         parent = tree.parents[start]
@@ -181,7 +181,7 @@ def _limbs(tree: _Tree, part: dict, recording: Recording) -> dict[str, _Limb]:
 
 
 def _best(tree: _Tree, usable: tuple[int, ...], part: dict) -> _Limb:
-    """The best choice of a limb's roles from a chain of joints."""
+    """The best assignment of a limb's roles to a chain of joints."""
     roles = list(part)
     optional = "toe" if part is LEG else "clavicle"
     needed = [role for role in roles if role != optional]
@@ -196,9 +196,9 @@ def _best(tree: _Tree, usable: tuple[int, ...], part: dict) -> _Limb:
 
 
 def _points(tree: _Tree, usable: tuple[int, ...], chosen: dict[str, int], part: dict) -> float:
-    """What names and lengths say for a choice."""
+    """The score of a choice from its names and bone lengths."""
     score = sum(fit(part[role], tree.names[joint].key) for role, joint in chosen.items())
-    # A joint that is passed over although its name fits a role that is left out.
+    # Skipping a joint whose name fits a missing role costs points.
     score -= 0.3 * sum(
         max(fit(patterns, tree.names[joint].key) for patterns in part.values()) > 0.5
         for joint in usable
@@ -243,7 +243,7 @@ def _trunk(tree: _Tree, found: dict[str, int], recording: Recording) -> None:
 
 
 def _fold(tree: _Tree, spine: list[int], hips: int, neck: int, found: dict[str, int]) -> None:
-    """Adds up to three of the file's spine joints: the first, the last, the one halfway."""
+    """Adds up to three of the file's spine joints: first, middle and last."""
     if not spine:
         return
     place = tree.place
@@ -261,7 +261,7 @@ def _fold(tree: _Tree, spine: list[int], hips: int, neck: int, found: dict[str, 
 
 
 def _head(tree: _Tree, chest: int, limbs: set[int], recording: Recording) -> int:
-    """The head: by name or else the last of the chain that goes on from the chest."""
+    """The head: by name, or else the last joint of the chain above the chest."""
     named = [
         joint
         for joint, name in enumerate(tree.names)

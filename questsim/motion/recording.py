@@ -1,4 +1,4 @@
-"""A motion as its file has it, and the file's bytes."""
+"""A motion as stored in its file, and reading of the file's bytes."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from questsim.errors import InputError
 
 AGAIN = "download or export the file again"
 MAX_FILE_BYTES = 512 << 20
-"""A motion file larger than 512 MiB is refused: half an hour at 120 Hz of 75 joints is less."""
+"""Larger files are rejected. 512 MiB holds over half an hour of 75 joints at 120 Hz."""
 MIN_FPS, MAX_FPS = 10.0, 1000.0
-"""Frame rates beyond these are errors of the file, such as a rate where the time should be."""
+"""Frame rates outside this range are file errors, e.g. a rate in place of the frame time."""
 MAX_LENGTH = 1e6
-"""Positions and bones beyond a million units are errors of the file."""
+"""Positions and bones longer than a million units are file errors."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A motion as its file has it: its own joints, units and axes.
+    """A motion as stored in its file, with the file's joints, units and axes.
 
     Attributes:
         path: the file.
@@ -32,8 +32,8 @@ class Recording:
         rotations: ``(T, J, 4)`` local rotations, unit quaternions wxyz.
         fps: frames a second.
         sha256: hexadecimal SHA-256 of the file.
-        tips: ``(3,)`` where the bone of a last joint ends, in that joint's frame, by joint
-            index; joints whose file does not say it are missing.
+        tips: joint index to ``(3,)`` end of the bone of a leaf joint, in that joint's frame;
+            joints without an end in the file are absent.
         notes: what the reader changed or assumed, for the report.
     """
 
@@ -49,7 +49,7 @@ class Recording:
 
 
 def read_bytes(path: Path) -> bytes:
-    """The file's content; InputError where it is missing, unreadable, empty or too large."""
+    """The file's content; InputError if it is missing, unreadable, empty or too large."""
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
             size = path.stat().st_size / 2**20
@@ -65,9 +65,9 @@ def read_bytes(path: Path) -> bytes:
 
 
 def decode(data: bytes, path: Path) -> str:
-    """The text of a file in UTF-8 or, where it is not that, in Shift-JIS or Latin-1.
+    """The text of a file in UTF-8 or, failing that, in Shift-JIS or Latin-1.
 
-    The keywords and numbers of motion files are ASCII in all of them, joint names may be not.
+    Keywords and numbers are ASCII in all three encodings; joint names may not be.
 
     Raises:
         InputError: the file is binary.
@@ -77,7 +77,7 @@ def decode(data: bytes, path: Path) -> str:
     elif b"\0" in data:
         raise InputError("is not a text file", path, "give a motion file")
     else:
-        # Japanese letters come in rows of high bytes, accented ones alone among ASCII.
+        # Japanese letters form runs of high bytes; accented letters stand alone among ASCII.
         high = re.findall(rb"[\x80-\xff]+", data[:100_000])
         rows = sum(len(run) > 1 for run in high) > len(high) / 2
         encodings = ["utf-8-sig", *(["shift_jis"] if rows else []), "latin-1"]
@@ -90,10 +90,10 @@ def decode(data: bytes, path: Path) -> str:
 
 
 def check_rate(fps: float, what: str, where: str | Path) -> float:
-    """``fps``, if a motion can have been recorded at it.
+    """Returns ``fps`` if it is a plausible recording rate.
 
     Raises:
-        InputError: it is not within ``MIN_FPS`` to ``MAX_FPS``; ``what`` says what gave it.
+        InputError: it is outside ``MIN_FPS`` to ``MAX_FPS``; ``what`` names its origin.
     """
     if not MIN_FPS <= fps <= MAX_FPS:
         raise InputError(

@@ -1,9 +1,9 @@
-"""How the axes of a file's joints lie in our T-pose, from its offsets or from how it moves.
+"""Finds the axes of a file's joints in our T-pose, from its offsets or from its motion.
 
-Where all rotations zero, or the first frame, make a standing person with straight limbs (T, A or
-I pose, or arms down), that pose is the answer: ``convert`` turns its limbs into the T-pose by
-the shortest way. Else the axes follow from the motion: a hinge's axis is that about which knees
-and elbows bend, the trunk's are those of the times when the performer stands upright.
+If the zero pose or the first frame is a standing person with straight limbs (T, A or I pose, or
+arms down), the axes are taken from it; ``convert`` rotates its limbs to the T-pose by the shortest
+rotation. Otherwise the axes come from the motion: the hinge axes are those about which knees and
+elbows bend, and the trunk's axes are averaged over the frames with an upright performer.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ SIDES = ("left", "right")
 MAX_FRAMES = 300
 SNAP = np.cos(np.radians(20.0))
 SPLAY = np.cos(np.radians(12.0))
-"""Legs further apart than this in the rest pose belong to a pose in which feet follow shins."""
+"""If the legs are further apart than this in the rest pose, the feet are splayed with the shins."""
 MIN_BEND = 0.1
-"""Mean sine of the hinge's angle below which a limb never bends enough to show its axis."""
+"""Below this mean sine of the hinge angle, a limb bends too little to find its axis."""
 
 Places = Mapping[str, np.ndarray]
 
@@ -36,8 +36,8 @@ class Rest:
     Attributes:
         axes: for each of our joints that the file has, forward, left and up as columns in the
             joint's own frame ``(3, 3)``.
-        how: where they are from.
-        feet_follow_shins: whether legs and feet are splayed as one.
+        how: how they were found.
+        feet_follow_shins: whether the feet are splayed with the legs.
     """
 
     axes: dict[str, np.ndarray]
@@ -64,7 +64,7 @@ def zero_pose(recording: Recording) -> Recording:
 
 
 def find_rest(recording: Recording, joints: Mapping[str, str]) -> tuple[Rest | None, str]:
-    """The axes of our joints, or None and why the poses are none of a standing person.
+    """The axes of our joints, or None and why no pose shows a standing person.
 
     Args:
         recording: the motion.
@@ -94,7 +94,7 @@ def _places(pose: Recording, index: Mapping[str, int]) -> dict[str, np.ndarray]:
 
 
 def unit(vector: np.ndarray) -> np.ndarray:
-    """Vectors of length 1; those of length 0 stay."""
+    """Normalises vectors; zero vectors stay zero."""
     return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-12)
 
 
@@ -103,14 +103,14 @@ def _both(places: Places, joint: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def body_axes(places: Places, *, snap: bool) -> tuple[np.ndarray | None, str]:
-    """Forward, left and up ``(3, 3)`` as columns of someone who stands with straight limbs.
+    """Forward, left and up as columns ``(3, 3)`` for a standing person with straight limbs.
 
     Args:
-        places: our joints' places ``(3,)``.
+        places: positions of our joints ``(3,)``.
         snap: take the file's own axis for up and left where it is near.
 
     Returns:
-        the axes, or None and what speaks against such a pose.
+        the axes, or None and the reason why it is not such a pose.
     """
     hips, shoulders = _both(places, "hip"), _both(places, "shoulder")
     middle, top = (hips[0] + hips[1]) / 2.0, (shoulders[0] + shoulders[1]) / 2.0
@@ -142,7 +142,7 @@ def body_axes(places: Places, *, snap: bool) -> tuple[np.ndarray | None, str]:
 
 
 def _axes(up: np.ndarray, left: np.ndarray, snap: bool) -> np.ndarray:
-    """Forward, left and up as columns, of an up and roughly a left direction."""
+    """Forward, left and up as columns, from an exact up and an approximate left direction."""
     if snap:
         up = _snapped(up)
     left = unit(left - (left @ up) * up)
@@ -166,7 +166,7 @@ def _splayed(places: Places, body: np.ndarray) -> bool:
 
 
 def world_up(places: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The file's axis ``(3,)`` along which heads are above feet, of places ``(T, 3)``."""
+    """The file's axis ``(3,)`` along which the head is above the feet; positions ``(T, 3)``."""
     body = places["head"] - (places["left_ankle"] + places["right_ankle"]) / 2.0
     direction = np.median(unit(body), axis=0)
     axis = np.zeros(3)
@@ -176,7 +176,7 @@ def world_up(places: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 class _Moving:
-    """Joints over frames, and constant vectors in their frames."""
+    """Joint motion over time, and vectors that are constant in a joint's frame."""
 
     def __init__(self, recording: Recording, index: Mapping[str, int]) -> None:
         position, quat = global_pose(recording)
@@ -194,12 +194,12 @@ class _Moving:
 
 
 def _from_motion(recording: Recording, index: Mapping[str, int]) -> Rest | None:
-    """Axes from how the performer moves; None where knees or hips show none."""
+    """Axes from the motion; None if the knees or hips do not show any."""
     moving = _Moving(recording, index)
     up = world_up(moving.places)
     trunk = moving.bone("root", "head") if "root" in index else moving.bone("left_hip", "head")
     upright = trunk @ up
-    # A pose that is held throughout stands as upright as it ever does.
+    # In a constant pose every frame is as upright as the best one.
     stands = upright >= min(0.9, float(np.percentile(upright, 60)))
     if not stands.any():  # NaN: bones around the trunk have no length
         return None
@@ -235,7 +235,7 @@ def _from_motion(recording: Recording, index: Mapping[str, int]) -> Rest | None:
 
 
 def _lateral(left: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Forward, left and up as columns, of a left and roughly an up direction."""
+    """Forward, left and up as columns, from an exact left and an approximate up direction."""
     up = unit(up - (up @ left) * left)
     return np.stack([np.cross(left, up), left, up], axis=-1)
 
@@ -261,7 +261,7 @@ def _ends(
     up_world: np.ndarray,
     axes: dict[str, np.ndarray],
 ) -> None:
-    """Adds collarbone, hand, foot and toes: they lie as their neighbours do on average."""
+    """Adds collarbone, hand, foot and toes, aligned on average with their neighbours."""
     parents = {
         "clavicle": "spine3", "wrist": f"{side}_elbow", "ankle": f"{side}_knee",
         "toe": f"{side}_ankle",
@@ -290,7 +290,7 @@ def _above(joint: str, axes: Mapping[str, np.ndarray]) -> str:
 
 
 def _foot(moving: _Moving, side: str, up_world: np.ndarray, axes: dict[str, np.ndarray]) -> None:
-    """The foot is level while it is still and low, and points where its toes do."""
+    """The foot's axes: level while it is still and low, pointing towards the toes."""
     name, knee = f"{side}_ankle", f"{side}_knee"
     place = moving.places[name]
     height = np.sum(place * up_world, axis=-1)

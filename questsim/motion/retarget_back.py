@@ -1,4 +1,4 @@
-"""From a ``Clip`` of the avatar to a ``Motion`` on 22 joints: synthetic clips as recordings."""
+"""Converts a ``Clip`` of the avatar to a ``Motion`` on 22 joints, e.g. a synthetic clip."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from questsim.motion.limbs import ARM_REST, SIDES
 from questsim.motion.motion import Motion
 from questsim.skeleton import JOINT_PARENTS, JOINTS, LINK_JOINTS, LINKS, NUM_JOINTS
 
-# Where joints that no link's origin gives lie in their parents, on the 1.75 m body. The avatar has
-# no collarbones: the way from its chest to a shoulder is shared out between the two joints.
+# Offsets of joints that are not at a link's origin, in their parents, for the 1.75 m body. The
+# avatar has no collarbones: the offset from chest to shoulder is split between the two joints.
 _OFFSETS = {
     "left_toe": (0.13, 0.0, -0.05), "right_toe": (0.13, 0.0, -0.05),
     "spine3": (0.0, 0.0, 0.12), "neck": (0.0, 0.0, 0.13), "head": (0.01, 0.0, 0.09),
@@ -23,10 +23,10 @@ _OFFSETS = {
 
 
 def to_motion(clip: Clip) -> Motion:
-    """The clip as a ``Motion``: the avatar's links as joints, what it lacks at rest.
+    """The clip as a ``Motion``; joints that the avatar lacks stay at rest.
 
-    The root is midway between the hips; collarbones, third spine joint, head joint and toes do
-    not move against their parents.
+    The root is midway between the hips. Collarbones, third spine joint, head joint and toes do
+    not move relative to their parents.
     """
     ratio = clip.height_m / DEFAULT_HEIGHT_M
     offsets = np.zeros((NUM_JOINTS, 3))

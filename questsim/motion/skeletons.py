@@ -1,4 +1,4 @@
-"""The skeleton of a recording: a family that is known or declared, or one that is recognised."""
+"""The skeleton of a recording: a known, declared or recognised family."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from questsim.skeleton import JOINTS
 
 RECOGNISED = "recognised"
 AGREE = np.cos(np.radians(45.0))
-"""A declared axis may be off the file's bone by 45 degrees: zero poses splay legs by up to 25."""
+"""A declared axis may differ from the file's bone by 45 degrees; zero poses splay legs up to 25."""
 JUMP_M, JUMP_RATIO = 0.12, 4.0
-"""From a rest pose to the motion joints jump further than this, and than between later frames."""
+"""Between a rest pose and the motion, joints jump further than this and than in later frames."""
 TURNED = np.radians(2.0)
 
 
 @dataclass(frozen=True)
 class Skeleton:
-    """A recording with the family that it is taken for.
+    """A recording and its skeleton family.
 
     Attributes:
-        recording: the recording, perhaps with the ends of its last joints as joints.
-        family: which joint is which, and its axes.
+        recording: the recording; ends of leaf joints may have been added as joints.
+        family: the joint mapping and the joint axes.
         explanation: one line for each of our joints and one for the axes.
     """
 
@@ -40,10 +40,10 @@ class Skeleton:
 
 
 def find_skeleton(recording: Recording, declared: Family | None = None) -> Skeleton:
-    """What skeleton a recording has.
+    """Finds the skeleton of a recording.
 
-    A known family counts where its declared axes agree with the file's offsets; names alone
-    never decide axes.
+    A known family is used only if its declared axes agree with the file's offsets; names alone
+    never decide the axes.
 
     Args:
         recording: the motion on its own joints.
@@ -99,7 +99,7 @@ def _check_joints(family: Family, recording: Recording) -> None:
 
 
 def _contradiction(recording: Recording, family: Family) -> str:
-    """Where a family's declared axes and the file's bones differ; empty if they agree."""
+    """The first disagreement of declared axes and the file's bones; empty if they agree."""
     few = some_frames(recording, 50)
     position, quat = global_pose(few)
     index = {JOINTS.index(j): few.names.index(name) for j, name in family.joints.items()}
@@ -126,10 +126,10 @@ def _contradiction(recording: Recording, family: Family) -> str:
 
 
 def without_rest_frame(recording: Recording, family: Family) -> Recording:
-    """The recording without a rest pose (T, A or I) at its beginning that is no motion.
+    """Drops a leading rest pose (T, A or I) that is not part of the motion.
 
-    Such frames stand apart: from them to the next one joints jump by more than between later
-    ones.
+    Such a frame is recognised by a jump of the joints to the next frame that is larger than
+    between later frames.
     """
     if len(recording.positions) < 3:
         return recording
@@ -164,7 +164,7 @@ def without_rest_frame(recording: Recording, family: Family) -> Recording:
 
 
 def _at_rest(recording: Recording, place: np.ndarray, index: dict[str, int]) -> bool:
-    """Whether the first frame is a rest pose: hardly any joint turned, or a T-pose."""
+    """Whether the first frame is a rest pose: nearly all rotations zero, or a T-pose."""
     below = [joint for joint in index.values() if recording.parents[joint] >= 0]
     turns = rot.angle_between(recording.rotations[0, below], np.array([1.0, 0.0, 0.0, 0.0]))
     if turns.max() < TURNED:
@@ -177,7 +177,7 @@ def _at_rest(recording: Recording, place: np.ndarray, index: dict[str, int]) -> 
 
 
 def write_mapping(recording: Recording, path: Path) -> str:
-    """Writes a mapping file as a start, with the joints that are recognised.
+    """Writes a draft mapping file with the recognised joints.
 
     Args:
         recording: the motion whose joints are to be named.

@@ -1,4 +1,4 @@
-"""Which files of a folder or a zip are motions."""
+"""Finds the motion files in a folder or a zip."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from questsim.motion.deepmimic import is_deepmimic
 
 SUFFIXES = (".bvh", ".npz", ".amc")
 TEXT_SUFFIXES = (".txt", ".json")
-"""Endings of DeepMimic's files, and of many that are no motions: their text decides."""
+"""Extensions of DeepMimic files and of many other files; the content decides."""
 MAX_UNPACKED_BYTES = 8 << 30
-"""A zip that unpacks to more than 8 GiB is refused."""
+"""Zip files that unpack to more than 8 GiB are rejected."""
 KINDS = "BVH, AMC, DeepMimic JSON and npz files"
 
 
 def motion_files(path: str | Path) -> list[Path]:
-    """A file itself, or the motion files in a folder or zip and below, sorted.
+    """The file itself, or all motion files below a folder or in a zip, sorted.
 
     A zip is unpacked into the cache, once.
 
     Raises:
-        InputError: there is no such file, or no motion in the folder or zip.
+        InputError: the file does not exist, or the folder or zip holds no motion.
     """
     path = Path(path)
     if not path.exists():
@@ -56,7 +56,7 @@ def _in_folder(folder: Path, named: Path) -> list[Path]:
 
 
 def is_motion(path: Path) -> bool:
-    """Whether a file found in a folder is a motion, by its ending or, of a text, its beginning."""
+    """Whether a file is a motion, by its extension or, for text files, by its first characters."""
     suffix = path.suffix.lower()
     return suffix in SUFFIXES or (suffix in TEXT_SUFFIXES and is_deepmimic(path))
 
@@ -69,7 +69,7 @@ def unpack(path: Path) -> Path:
     """The folder in the cache with the motions and skeletons of a zip.
 
     Raises:
-        InputError: it is no zip, too large unpacked, or the cache cannot be written.
+        InputError: it is not a zip, is too large unpacked, or the cache cannot be written.
     """
     folder = datasets.cache_dir() / "unpacked" / datasets.file_digest(path)[:32]
     done = folder / "done"
@@ -100,7 +100,7 @@ def unpack(path: Path) -> Path:
 
 
 def _wanted(entry: zipfile.ZipInfo) -> bool:
-    """Whether an entry is a motion or skeleton, and stays inside the folder."""
+    """Whether an entry is a motion or skeleton with a path inside the folder."""
     inside = PurePosixPath(entry.filename.replace("\\", "/"))
     if entry.is_dir() or inside.is_absolute() or ".." in inside.parts or ":" in entry.filename:
         return False
@@ -110,7 +110,7 @@ def _wanted(entry: zipfile.ZipInfo) -> bool:
 
 
 def content_digest(path: Path) -> str:
-    """SHA-256 of a motion file and, of an AMC file, its skeleton; empty where it is not there."""
+    """SHA-256 of a motion file, for AMC with its skeleton; empty if the file is missing."""
     digest = datasets.file_digest(path)
     if path.suffix.lower() == ".amc":
         with suppress(InputError):  # none is there: reading the file says so

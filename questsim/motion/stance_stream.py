@@ -1,7 +1,8 @@
-"""``stance.plant`` for a stream: stance feet on the floor, frame by frame, without a look ahead.
+"""Streaming ``stance.plant``: puts stance feet on the floor frame by frame, without lookahead.
 
-The soles are known from a recording. What ``plant`` interpolates between a stance and the next is
-held here until the next one begins, and filters that look both ways become first-order ones.
+The soles are measured from a recording. Where ``plant`` interpolates between two stances, the
+stream holds the value until the next one begins. Two-sided filters are replaced by first-order
+ones.
 """
 
 from __future__ import annotations
@@ -26,15 +27,15 @@ from questsim.motion.stance import (
 )
 
 FOOT_SHARE, ROOT_SHARE, RELEASE_SHARE = 0.5, 0.2, 0.1
-"""Share of what is lacking that a frame of 36 Hz makes up: of a foot's correction, of the root's,
-and of the root's rising again after it sank for a leg's reach."""
+"""Share of the remaining correction applied per frame at 36 Hz: for a foot, for the root, and for
+the root rising again after it sank to let a leg reach."""
 
 
 class StancePlanter:
     """Plants the feet of one stream of poses at 36 Hz.
 
     Args:
-        soles: of the person.
+        soles: the person's soles.
         height: the avatar's stature in metres.
     """
 
@@ -61,7 +62,7 @@ class StancePlanter:
             leg_m: length of a stretched leg.
 
         Returns:
-            ankles ``(T, 2, 3)``, feet ``(T, 2, 4)`` and by how much the root rises ``(T,)``.
+            ankles ``(T, 2, 3)``, feet ``(T, 2, 4)`` and the rise of the root ``(T,)`` in metres.
         """
         ankles, feet, rise = ankles.copy(), feet.copy(), np.empty(len(ankles))
         for row in range(len(ankles)):

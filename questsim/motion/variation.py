@@ -1,8 +1,8 @@
-"""Variations of clips: the same people doing more than they were recorded doing.
+"""Random variations of clips: data augmentation of recorded motion.
 
-Each variation takes a clip apart (``varying.figure``), changes it by a random recipe, lets leg
-inverse kinematics and balance put it together again, and is rejected if people could not do it
-(``varying.feasible``). The recipe stays with the clip, in its ``source``.
+A variation splits a clip into parts (``varying.figure``), changes them by a random recipe and
+rebuilds the motion with leg inverse kinematics and balance. Motions that people could not do are
+rejected (``varying.feasible``). The clip's ``source`` records the recipe.
 """
 
 from __future__ import annotations
@@ -31,29 +31,29 @@ from questsim.motion.varying.figure import (
 from questsim.motion.varying.upper import LEG_M, Moment
 
 SHORTEST_S, LONGEST_S = 1.0, 10.0
-"""Variations need clips of at least so many seconds; of longer ones they take a part."""
+"""Shortest clip in seconds that can be varied, and the longest part of one that is used."""
 ATTEMPTS = 60
-"""Recipes that one variation may try."""
+"""Maximum number of recipes tried for one variation."""
 SPEEDS = (0.75, 1.3)
 CHANCES = {
     "reversed": 0.25, "upper": 0.2, "reach": 0.35, "bow": 0.2, "crouch": 0.2, "stance": 0.25,
     "lean": 0.35, "drift": 0.6,
 }  # fmt: skip
-"""How often a recipe has each ingredient."""
+"""Probability of each ingredient in a recipe."""
 GREATEST = {
     "reversed": 0.9, "upper": 0.8, "reach": 0.5, "bow": np.deg2rad(50.0), "crouch": 0.25,
     "stance": 0.15, "lean": np.deg2rad(10.0), "drift": 0.5,
 }  # fmt: skip
-"""Amounts that change a motion equally much, by eye: the kind is named after the greatest."""
+"""Amounts that change a motion about equally, by eye; the largest ratio names the kind."""
 
 
 @dataclass
 class Recipe:
-    """What a variation is made of.
+    """The parameters of a variation.
 
     Attributes:
-        speed: times as fast.
-        amounts: of each ingredient, in its own unit (see ``draw``); what is missing is not done.
+        speed: factor on the playback speed.
+        amounts: ingredient to its amount, in its own unit (see ``draw``); others are not used.
     """
 
     speed: float
@@ -73,7 +73,7 @@ class Recipe:
 
 @dataclass
 class Tally:
-    """How many recipes were tried, and how many were rejected for which reason."""
+    """Number of recipes tried, and of recipes rejected for each reason."""
 
     tried: int = 0
     rejected: dict[str, int] = field(default_factory=lambda: defaultdict(int))
@@ -92,21 +92,21 @@ def vary(
 ) -> list[Clip]:
     """Random variations of clips.
 
-    Clips are drawn by kind, each kind as often as another. The kind of a variation is that of
-    its clip and its greatest ingredient, as ``"walk+crouch"``. Licences of all clips that it is
-    made of stay with it.
+    Each kind of clip is drawn equally often. The kind of a variation joins its clip's kind and its
+    largest ingredient, e.g. ``"walk+crouch"``. It carries the licences of all clips that it
+    uses.
 
     Args:
-        clips: what is varied. Clips of less than 1 s and such that need a chair are left out.
+        clips: the clips to vary. Clips shorter than 1 s or with a chair are left out.
         count: how many variations.
         seed: same clips and seed, same bits; the first variations do not depend on ``count``.
-        tally: is told what was tried and rejected.
+        tally: counts the tried and rejected recipes.
 
     Returns:
         ``count`` clips.
 
     Raises:
-        InputError: no clip is left, people could do no variation, or ``seed`` is below zero.
+        InputError: no clip is left, no variation is feasible, or ``seed`` is negative.
     """
     return list(variations(clips, range(count), seed, tally=tally))
 
@@ -126,7 +126,7 @@ def variations(
 
 
 def long_enough(clips: Sequence[Clip]) -> list[Clip]:
-    """The clips that can be varied: of 1 s or more, and such that need no chair.
+    """The clips that can be varied: at least 1 s long and without a chair.
 
     Raises:
         InputError: there is none.
@@ -149,7 +149,7 @@ def _pool(clips: Sequence[Clip], seed: int) -> _Pool:
 
 
 class _Pool:
-    """Clips by kind, and what the floor cannot give to each of them."""
+    """Clips by kind, and the force and moment that the floor cannot supply to each."""
 
     def __init__(self, clips: Sequence[Clip], seed: int) -> None:
         self._clips = clips
@@ -190,11 +190,11 @@ class _Pool:
 
 
 def make(base: Clip, donor: Clip, rng: np.random.Generator) -> Clip | str:
-    """One variation, or the reason why people could not do it (dynamics apart).
+    """One variation, or the reason why it is infeasible (dynamics are not checked here).
 
     Args:
         base: the clip.
-        donor: another clip, whose upper body may be taken.
+        donor: another clip whose upper body may be used.
         rng: of the recipe.
     """
     first, last = _part(base, rng)
@@ -240,7 +240,7 @@ def _source(base: Clip, donor: Clip, recipe: Recipe) -> str:
 
 
 def both_licences(first: str, second: str) -> str:
-    """The licence of what is made of two motions; SPDX. One that is not stated leaves it open."""
+    """SPDX licence of a motion made of two others; unknown if one of theirs is not stated."""
     if not first or not second:
         return ""
     parts = {part for licence in (first, second) for part in licence.split(" AND ")}
@@ -262,9 +262,9 @@ def draw(clip: Clip, rng: np.random.Generator) -> Recipe:
     if feasible.too_fast_backwards(clip):
         del possible["reversed"]
     wanted = {name for name, chance in possible.items() if rng.random() < chance}
-    # One ingredient at least.
+    # At least one ingredient.
     wanted.add(str(rng.choice(list(possible)))) if not wanted else None
-    # What people do while they walk is less deep than what they do standing.
+    # People bend less deeply while walking than while standing.
     ease = float(np.clip(1.0 - 0.5 * speed, 0.3, 1.0))
     amounts = {
         "reversed": 1.0 if stepping else 0.3,
@@ -281,7 +281,7 @@ def draw(clip: Clip, rng: np.random.Generator) -> Recipe:
 
 
 def _mix(figure: Figure, donor: Clip, recipe: Recipe, rng: np.random.Generator) -> None:
-    """Change a figure by a recipe; what the recipe leaves open is drawn."""
+    """Apply a recipe to a figure; its open parameters are drawn at random."""
     amounts, time = recipe.amounts, figure.time
     if "drift" in amounts:
         stances.drift_path(figure, _drift(amounts["drift"], rng))
@@ -332,7 +332,7 @@ def _lean(figure: Figure, size: float, rng: np.random.Generator) -> None:
 def _moments(
     figure: Figure, rng: np.random.Generator, least_s: float, most_s: float
 ) -> tuple[Moment, ...]:
-    """When in a clip something is done: a few times, once, or (none) all the time."""
+    """When an ingredient acts in a clip: a few times, once, or (empty) all the time."""
     if rng.random() < 0.25:
         return ()
     moments, at = [], rng.uniform(-0.5, 0.6)

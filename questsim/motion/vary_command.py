@@ -37,9 +37,9 @@ class VaryArgs:
 
 
 def vary_motions(args: VaryArgs) -> int:
-    """Write a library of variations and print what they are and what was rejected.
+    """Write a library of variations; print a summary of them and of the rejected recipes.
 
-    After Ctrl-C the library has the variations made until then.
+    After Ctrl-C the library holds the variations made so far.
 
     Returns:
         the exit code.
