@@ -32,43 +32,43 @@ ASSIST_N = 100.0
 
 @dataclass(frozen=True)
 class LiveArgs:
-    """Put on a headset and be the avatar: a page for the headset's browser."""
+    """Control the avatar live from a headset, through a page in the headset's browser."""
 
     agent: str = "questsim-now"
-    """A policy, a kinematic system, or one with +physics after its name."""
+    """Policy or kinematic system; append +physics to a kinematic system to run it with physics."""
     sensors: str | None = None
     """Set of devices, e.g. H+2C or H; by default the agent's own."""
     height: float | None = None
-    """Stature of the user in metres; by default measured."""
+    """Stature of the user in metres; measured by default."""
     pose: str = "hanging"
-    """How the user stands during the calibration: hanging or a-pose."""
+    """The user's pose during the calibration: hanging or a-pose."""
     calibration: Path | None = None
-    """What Calibration.save wrote, instead of measuring."""
+    """File written by Calibration.save, used instead of measuring."""
     assist: float = ASSIST_N
-    """Greatest force in N that may help the avatar's balance; 0 for honest physics."""
+    """Largest force in N that assists the avatar's balance; 0 for physics without assistance."""
     replay: Path | None = None
-    """Let this recording drive instead of a page; pages watch."""
+    """Drive the avatar from this recording; pages only watch."""
     record: Path | None = None
-    """Write what the devices report to this file, .jsonl.gz."""
+    """Record the devices' frames to this file, .jsonl.gz."""
     vmc: str | None = None
     """Send the avatar to a VMC marionette at HOST:PORT, e.g. 127.0.0.1:39539."""
     vrchat: str | None = None
     """Send trackers to VRChat at HOST:PORT, e.g. 127.0.0.1:9000."""
     vmc_in: int | None = None
-    """Let a VMC program drive over OSC at this port of this machine, e.g. 39540; pages watch."""
+    """Drive the avatar from a VMC program over OSC at this local port, e.g. 39540; pages watch."""
     host: str = LOOPBACK
-    """Where to listen; anything else than the default uses TLS and a token."""
+    """Address to listen on; any other than the default uses TLS and a token."""
     port: int = DEFAULT_PORT
-    """The page's port; 0 takes any free one."""
+    """Port of the page; 0 picks a free one."""
     cert: Path | None = None
-    """A certificate (PEM) for TLS; by default one is made on the spot where TLS is needed."""
+    """TLS certificate (PEM); by default a temporary one is made where TLS is needed."""
     key: Path | None = None
-    """The certificate's key (PEM)."""
+    """Private key of the certificate (PEM)."""
 
 
 @dataclass(frozen=True)
 class RecordArgs(LiveArgs):
-    """The same, and write what the devices report to a file."""
+    """Like live, and record the devices' frames to a file."""
 
     out: tyro.conf.Positional[Path] = Path("recording.jsonl.gz")
     """The recording, .jsonl.gz."""
@@ -125,7 +125,7 @@ def _check(args: LiveArgs) -> None:
 def _recorder(
     stack: ExitStack, path: Path | None
 ) -> tuple[Callable[[DeviceFrame], None] | None, Callable[[], int] | None]:
-    """What writes frames, and how many it has written."""
+    """The frame writer, and the number of frames it has written."""
     if path is None:
         return None, None
     writer = stack.enter_context(RecordingWriter(path, "openxr"))
@@ -210,7 +210,7 @@ async def _serve(
 
 @contextlib.contextmanager
 def _osc_driver(port: int | None, session: LiveSession) -> Iterator[None]:
-    """Frames of a VMC program, if one drives."""
+    """Frames of a VMC program, if one drives the avatar."""
     if port is None:
         yield
         return
@@ -223,7 +223,7 @@ def _osc_driver(port: int | None, session: LiveSession) -> Iterator[None]:
 
 
 async def feed(session: LiveSession, recording: Recording) -> None:
-    """Push a recording's frames at their times, again and again."""
+    """Send a recording's frames at their times, in an endless loop."""
     while True:
         session.begin()
         began, first = time.monotonic(), recording.frames[0].time_s

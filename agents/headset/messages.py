@@ -1,4 +1,4 @@
-"""What a page may send, and what is refused: sizes, rates, numbers and times."""
+"""Checks of the messages of a page: sizes, rates, numbers and times."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from questsim.devices import DeviceFrame
 from questsim.errors import InputError
 
 MAX_BYTES = 4096
-"""A message of three devices has 500."""
+"""Largest message in bytes; a message of three devices has 500."""
 MAX_PER_SECOND = 200.0
-"""Headsets send 72 to 120 frames a second; what is beyond is dropped."""
+"""Largest number of messages per second; headsets send 72 to 120. Excess frames are dropped."""
 MAX_FAULTS = 20
-"""A client with more messages that cannot be used is sent away."""
+"""A client with more invalid messages is disconnected."""
 MAX_TIME_S = 1e9
 DEVICES = ("headset", "left_controller", "right_controller")
 
 
 class Allowance:
-    """A bucket that fills with ``rate`` messages a second and holds one second of them.
+    """A token bucket that refills at ``rate`` messages per second and holds one second of them.
 
     Args:
-        rate: messages a second.
-        clock: gives seconds.
+        rate: messages per second.
+        clock: returns the time in seconds.
     """
 
     def __init__(self, rate: float, clock: Callable[[], float] = time.monotonic) -> None:
@@ -35,7 +35,7 @@ class Allowance:
         self._left, self._at = rate, clock()
 
     def take(self) -> bool:
-        """Whether one more is allowed now."""
+        """Whether one more message is allowed now."""
         now = self._clock()
         self._left = min(self._rate, self._left + (now - self._at) * self._rate)
         self._at = now
@@ -46,10 +46,10 @@ class Allowance:
 
 
 def read_message(text: str) -> dict[str, Any]:
-    """A message of a page as a JSON object with a ``type``.
+    """Parse a page's message: a JSON object with a ``type``.
 
     Raises:
-        InputError: it is none.
+        InputError: the message is not such an object.
     """
     try:
         message = json.loads(text)
@@ -61,10 +61,10 @@ def read_message(text: str) -> dict[str, Any]:
 
 
 def frame_of(message: dict[str, Any]) -> DeviceFrame:
-    """The frame of ``{"type": "frame", "t": seconds, "headset": [7 numbers], ...}`` of WebXR.
+    """Parse a WebXR frame ``{"type": "frame", "t": seconds, "headset": [7 numbers], ...}``.
 
     Raises:
-        InputError: other devices, values that are no poses, a time that is none.
+        InputError: unexpected devices, invalid poses or an invalid time.
     """
     time_s = message.get("t")
     if isinstance(time_s, bool) or not isinstance(time_s, int | float):

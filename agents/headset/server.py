@@ -35,15 +35,15 @@ POLICY = (
 )
 MAX_CLIENTS = 32
 SLOW_S = 10.0
-"""A client that takes nothing for longer is sent away."""
+"""A client that receives nothing for longer than this (s) is disconnected."""
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 def check_page() -> None:
-    """Refuse to serve a page that was not built.
+    """Require that the page has been built.
 
     Raises:
-        InputError: saying what builds it.
+        InputError: the page is missing; the message says how to build it.
     """
     if not all((PAGE / name).is_file() for name, _ in FILES.values()):
         raise InputError("the page is not built", "questsim live", "run make live in a checkout")
@@ -53,14 +53,14 @@ class LiveServer:
     """Serves one session.
 
     Args:
-        host: where to listen.
-        token: what has to stand in every address; empty for none, on loopback.
-        context: TLS; None for plain HTTP, on loopback.
-        page_drives: whether a page may be the driver.
+        host: address to listen on.
+        token: required in every address; empty on loopback, where none is needed.
+        context: TLS context; None for plain HTTP on loopback.
+        page_drives: whether a page may drive the avatar.
 
     Attributes:
-        session: to be set before ``start``.
-        received: frames of drivers that were taken in.
+        session: set this before ``start``.
+        received: number of accepted frames of drivers.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class LiveServer:
         self.port = 0
 
     async def start(self, port: int) -> None:
-        """Listen.
+        """Start listening.
 
         Raises:
             OSError: the port is taken.
@@ -94,13 +94,13 @@ class LiveServer:
         self.port = int(self._runner.addresses[0][1])
 
     async def stop(self) -> None:
-        """Send everybody away and close."""
+        """Disconnect all clients and close."""
         for socket in list(self._clients):
             await socket.close(code=WSCloseCode.GOING_AWAY, message=b"the server ends")
         await self._runner.cleanup()
 
     def publish(self, state: dict[str, Any]) -> None:
-        """Show a state to all pages; from any thread."""
+        """Send a state to all pages; may be called from any thread."""
         text = json.dumps(state, separators=(",", ":"), allow_nan=False)
         with contextlib.suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._spread, text, state["type"])
@@ -113,7 +113,7 @@ class LiveServer:
 
     @web.middleware
     async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Refuse foreign hosts, foreign origins and missing tokens, before anything else."""
+        """Refuse foreign hosts, foreign origins and missing tokens before anything else."""
         host = request.headers.get("Host", "")
         if not known_host(host, self._host):
             raise web.HTTPForbidden(text="this host is not served")
@@ -124,7 +124,7 @@ class LiveServer:
         if request.path == "/ws" and origin is None:
             raise web.HTTPForbidden(text="no origin")
         given = request.query.get("token", "").encode()
-        # The script is public; everything about the person is not.
+        # The script is public; everything about the user requires the token.
         named = hmac.compare_digest(given, self._token.encode())
         if self._token and not named and request.path != "/live.js":
             raise web.HTTPForbidden(text="the address lacks its token")
@@ -213,9 +213,9 @@ class LiveServer:
 
 
 class _Outbox:
-    """What a client has still to be sent: the newest pose, and all words before it.
+    """Messages that wait to be sent to a client: the newest pose, and all other messages.
 
-    A client that is slow misses poses; it does not make the server remember them.
+    A slow client misses poses, so that the server's memory use stays bounded.
     """
 
     def __init__(self, socket: web.WebSocketResponse) -> None:
@@ -225,7 +225,7 @@ class _Outbox:
         self._news = asyncio.Event()
 
     def put(self, text: str, kind: str = "") -> None:
-        """One more message."""
+        """Queue one message."""
         if kind == "pose":
             self._pose = text
         else:
@@ -233,7 +233,7 @@ class _Outbox:
         self._news.set()
 
     async def run(self) -> None:
-        """Send until the client is gone or does not take anything."""
+        """Send until the client disconnects or stops receiving."""
         try:
             while True:
                 await self._news.wait()

@@ -1,4 +1,4 @@
-"""A user, measured and then followed, in a thread of its own."""
+"""A live session: calibrate the user, then follow them, in a separate thread."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from questsim.sensors import device_poses
 
 CALIBRATION_S = 3.0
 WAITING_FRAMES = 32
-"""Frames that wait for the simulation; of more the oldest are dropped."""
+"""Largest number of frames waiting for the simulation; beyond it the oldest are dropped."""
 WAITING, CALIBRATING, FOLLOWING = "waiting", "calibrating", "following"
 _KEPT_S = 1.0
 
 
 class LiveSession:
-    """Takes frames from one driver and publishes a state after each.
+    """Takes frames from one driver and publishes a state after each frame.
 
     Args:
-        follower: what moves the avatar.
-        publish: called in the session's thread with a JSON-able state.
-        height_m: the user's stature, if it is known.
-        pose: how the user stands while being measured.
-        calibration: of the user; None to measure them for three seconds.
-        heed_frame, heed_pose: called with every frame that comes in, e.g. to record it, and with
-            every pose, e.g. to send it on.
+        follower: moves the avatar.
+        publish: called in the session's thread with a JSON-compatible state.
+        height_m: the user's stature, if known.
+        pose: the user's pose during the calibration.
+        calibration: of the user; None to calibrate for three seconds.
+        heed_frame, heed_pose: called with every received frame, e.g. to record it, and with every
+            pose, e.g. to forward it.
 
     Attributes:
-        dropped: frames that waited too long and were left out.
-        failure: what ended the thread, if something did.
+        dropped: number of frames dropped because they waited too long.
+        failure: the exception that ended the thread, if any.
     """
 
     def __init__(
@@ -81,22 +81,22 @@ class LiveSession:
         return None if known is None else round(known.height_m, 4)
 
     def push(self, frame: DeviceFrame) -> None:
-        """One more frame of the driver; returns at once."""
+        """Queue one frame of the driver; returns immediately."""
         came = time.monotonic()
         if self._heed_frame is not None:
             self._heed_frame(frame)
         self._put(lambda: self._take(frame, came))
 
     def begin(self) -> None:
-        """A driver has come, or wants to be measured again."""
+        """A driver has connected or requests a new calibration."""
         self._put(self._begin)
 
     def end(self) -> None:
-        """The driver has gone."""
+        """The driver has disconnected."""
         self._put(self._end)
 
     def assist(self, on: bool) -> None:
-        """Let the assist help, up to the bound that the follower was made with, or not."""
+        """Switch the assisting force on, up to the follower's limit, or off."""
         self._put(lambda: setattr(self._follower, "assist_n", self._assist_n if on else 0.0))
 
     def _put(self, job: Callable[[], None] | None) -> None:
@@ -170,7 +170,7 @@ class LiveSession:
         self._publish(self.status())
 
     def status(self) -> dict[str, Any]:
-        """State, stature and what to do next, for a page that comes anew."""
+        """State, stature and instruction for a page that connects."""
         return {
             "type": "state",
             "state": self.state,
@@ -181,7 +181,7 @@ class LiveSession:
         }
 
     def _described(self, frame: DeviceFrame, pose: AvatarPose, came_s: float) -> dict[str, Any]:
-        """A pose for pages: links in WebXR's axes, and the numbers that matter."""
+        """A pose for pages: links in WebXR's axes, and the displayed figures."""
         position, quat = from_ours(pose.link_position, pose.link_quat, "openxr")
         force, _ = from_ours(pose.contact_force, np.tile([1.0, 0, 0, 0], (2, 1)), "openxr")
         assist, _ = from_ours(pose.assist_force, np.array([1.0, 0, 0, 0]), "openxr")
@@ -200,7 +200,7 @@ class LiveSession:
         }
 
     def _error_cm(self, frame: DeviceFrame, pose: AvatarPose) -> float | None:
-        """Mean distance of the avatar's devices from the user's at the pose's time."""
+        """Mean distance between the avatar's devices and the user's at the time of the pose."""
         known = self._follower.calibration
         assert known is not None
         if self._seen and frame.time_s <= self._seen[-1].time_s:

@@ -1,4 +1,4 @@
-"""Certificates, and the names by which a browser may call this machine."""
+"""TLS certificates, and the host names by which a browser may address this machine."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LOOPBACK_NAMES = ("127.0.0.1", "localhost", "::1")
 
 
 def own_addresses() -> list[str]:
-    """Addresses by which others reach this machine, as far as it knows them."""
+    """Addresses of this machine that other machines can reach, as far as it can tell."""
     found = []
     for target in ("192.0.2.1", "2001:db8::1"):  # documentation addresses; nothing is sent
         kind = socket.AF_INET6 if ":" in target else socket.AF_INET
@@ -27,7 +27,7 @@ def own_addresses() -> list[str]:
 
 
 def server_context(cert: Path | None, key: Path | None, names: list[str]) -> ssl.SSLContext:
-    """TLS with the given certificate, or with one that is made now for these names.
+    """TLS with the given certificate, or with a new temporary one for these names.
 
     Raises:
         InputError: only one of certificate and key is given, or they cannot be read.
@@ -49,7 +49,7 @@ def server_context(cert: Path | None, key: Path | None, names: list[str]) -> ssl
 
 
 def known_host(header: str, host: str) -> bool:
-    """Whether a Host header names this machine: a name that others' DNS could own does not."""
+    """Whether a Host header names this machine; rejects DNS names that others could control."""
     name = header.rsplit(":", 1)[0] if not header.endswith("]") else header
     name = name.strip("[]").lower()
     own = socket.gethostname().lower()

@@ -1,7 +1,7 @@
 """Compiled conversion of the network outputs of HMD-Poser and LGSIK-Poser to poses of 22 joints.
 
-Rotations in 6D, forward kinematics and quaternions as ``questsim.differentiable`` and SciPy have
-them, in double precision; a frame at a time, PyTorch spends far longer on calls than on numbers.
+Computes 6D rotations, forward kinematics and quaternions like ``questsim.differentiable`` and
+SciPy, in double precision. For single frames, most of PyTorch's time would be call overhead.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ _HEAD = JOINTS.index("head")
 def assembled(
     six: np.ndarray, heading: np.ndarray, head: np.ndarray, offsets: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Roots ``(T, 3)`` and rotations ``(T, 22, 4)`` of poses whose head is where it was measured.
+    """Roots ``(T, 3)`` and rotations ``(T, 22, 4)``; the head keeps its measured position.
 
     Args:
-        six: ``(T, 22, 6)`` two columns of each joint's rotation, the root's seen from the heading.
-        heading: ``(T, 3, 3)`` the heading's turn about z.
-        head: ``(T, 3)`` the head joint in the world.
+        six: ``(T, 22, 6)`` two columns of each joint's rotation; the root's is relative to heading.
+        heading: ``(T, 3, 3)`` rotation of the heading about z.
+        head: ``(T, 3)`` position of the head joint in the world.
         offsets: ``(T, 22, 3)`` as in ``Poses``.
 
     Returns:
-        NaN quaternions where two columns make no rotation.
+        NaN quaternions where the two columns do not define a rotation.
     """
     root, quat = np.empty((len(six), 3)), np.empty((*six.shape[:2], 4))
-    # In one layout, so that it is compiled once.
+    # A fixed memory layout, so that the function is compiled only once.
     arrays = (np.ascontiguousarray(array, float) for array in (six, heading, head, offsets))
     _assemble(*arrays, _PARENTS, root, quat)
     return root, quat
@@ -68,7 +68,7 @@ def _assemble(six, heading, head, offsets, parents, root, quat):
 
 @jit
 def _matrix(six, out):
-    """Write the rotation of two columns (Zhou et al. 2019); whether it is one."""
+    """Write the rotation of two columns (Zhou et al. 2019); returns whether they define one."""
     x, y = out[:, 0], out[:, 1]
     along, length = 0.0, 0.0
     for i in range(3):
@@ -100,7 +100,7 @@ def _multiply(a, b, out):
 
 @jit
 def _quaternion(m, out):
-    """Write the quaternion wxyz of a rotation, its largest component positive."""
+    """Write the quaternion wxyz of a rotation, with its largest component positive."""
     trace = m[0, 0] + m[1, 1] + m[2, 2]
     largest, most = 3, trace
     for i in range(3):

@@ -1,7 +1,7 @@
 """Optional user constraints on DragPoser's poses: plain loss functions.
 
 A constraint takes world positions ``(B, 22, 3)`` and orientations ``(B, 22, 4)`` of all joints and
-answers a loss ``(B,)``, zero where it is met, in squared metres or squared radians.
+returns a loss ``(B,)`` in squared metres or squared radians, zero where the constraint is met.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ Constraint = Callable[[Tensor, Tensor], Tensor]
 
 
 def look_at(target: tuple[float, float, float], joint: str = "head") -> Constraint:
-    """The joint's x axis, which is forward, points at a place in the world; squared sine-like loss.
+    """The joint's x axis (forward) points at a target in the world; squared sine-like loss.
 
     Args:
-        target: metres.
-        joint: which.
+        target: world position in metres.
+        joint: the joint that is aimed.
     """
 
     def loss(position: Tensor, quat: Tensor) -> Tensor:
@@ -36,7 +36,7 @@ def look_at(target: tuple[float, float, float], joint: str = "head") -> Constrai
 
 
 def joint_distance(a: str, b: str, metres: float) -> Constraint:
-    """Two joints are that far apart."""
+    """Two joints are a given distance apart."""
 
     def loss(position: Tensor, quat: Tensor) -> Tensor:
         apart = (position[:, JOINTS.index(a)] - position[:, JOINTS.index(b)]).norm(dim=-1)
@@ -46,7 +46,7 @@ def joint_distance(a: str, b: str, metres: float) -> Constraint:
 
 
 def above_floor(height: float = 0.0) -> Constraint:
-    """No joint is lower than that, in metres."""
+    """No joint is below a given height in metres."""
 
     def loss(position: Tensor, quat: Tensor) -> Tensor:
         return (height - position[..., 2]).clamp_min(0.0).square().sum(-1)
@@ -59,5 +59,5 @@ def _weighted(weight: float, constraint: Constraint, position: Tensor, quat: Ten
 
 
 def weighted(weight: float, constraint: Constraint) -> Constraint:
-    """The same constraint, more or less important; trackers' positions weigh 5 or 10."""
+    """The same constraint with another weight; trackers' positions have weights of 5 or 10."""
     return partial(_weighted, weight, constraint)

@@ -26,7 +26,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     Scenario("faulty 0.5 %", SIX, faults=0.005),
     Scenario("faulty 1 %", SIX, faults=0.01),
 )
-"""Those of DragPoser's table 2, and one iteration a frame."""
+"""Scenarios of DragPoser's table 2, and one with a single iteration per frame."""
 
 
 def _system(

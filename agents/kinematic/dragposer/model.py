@@ -1,7 +1,7 @@
-"""Decoder and forward kinematics of DragPoser's solver: joints of a latent and their derivatives.
+"""Decoder and forward kinematics of DragPoser's solver: joints of a latent, with derivatives.
 
-The arithmetic of ``DragPoserModule.decode`` and ``joints_from_root`` for a single pose, in NumPy,
-with its derivatives written out: networks this small cost what their calls cost, so there are few.
+Computes ``DragPoserModule.decode`` and ``joints_from_root`` for a single pose in NumPy, with
+analytic derivatives. Call overhead dominates in networks this small, so there are few calls.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from questsim import differentiable as diff
 from questsim.skeleton import JOINT_PARENTS, NUM_JOINTS
 
 UNKNOWNS = LATENT + 6
-"""The latent, the root's own move in metres and its own turn in radians."""
+"""Unknowns: the latent, a translation of the root in metres and a rotation in radians."""
 MOVE, TURN = slice(LATENT, LATENT + 3), slice(LATENT + 3, UNKNOWNS)
 _SLOPE = 0.2
 _PARENTS = np.array(JOINT_PARENTS)
@@ -75,11 +75,11 @@ def turning(quat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class PosedSkeleton:
-    """A pose in the world, and perhaps how it changes with the 30 unknowns.
+    """A pose in the world, optionally with its derivatives by the 30 unknowns.
 
     Attributes:
         position: ``(22, 3)`` metres; quat: ``(22, 4)`` orientations.
-        d_position: ``(22, 3, K)``, derivatives by the unknowns, all or none of them.
+        d_position: ``(22, 3, K)`` derivatives by the unknowns; ``K`` is 30 or 0.
         d_quat: ``(22, 4, K)``.
     """
 
@@ -90,7 +90,7 @@ class PosedSkeleton:
 
     @property
     def columns(self) -> int:
-        """How many derivatives there are: 30 or 0."""
+        """Number of derivatives: 30 or 0."""
         return self.d_position.shape[-1]
 
 
@@ -98,7 +98,7 @@ class DragModel:
     """Decoder and forward kinematics.
 
     Args:
-        module: trained.
+        module: a trained module.
     """
 
     def __init__(self, module: DragPoserModule) -> None:
@@ -114,14 +114,14 @@ class DragModel:
         offsets: np.ndarray,
         slopes: bool = False,
     ) -> PosedSkeleton:
-        """The pose of unknowns.
+        """The pose for given unknowns.
 
         Args:
             unknowns: ``(30,)``.
-            turn: ``(4,)`` the root's orientation in the frame before.
-            root: ``(3,)`` its position then.
-            offsets: ``(22, 3)`` the body.
-            slopes: whether the derivatives are wanted.
+            turn: ``(4,)`` the root's orientation in the previous frame.
+            root: ``(3,)`` the root's position in the previous frame.
+            offsets: ``(22, 3)`` offsets of the body.
+            slopes: whether to compute the derivatives.
         """
         local, moved, d_local, d_moved = self._decoded(unknowns[:LATENT], slopes)
         half = np.concatenate([[1.0], 0.5 * unknowns[TURN]])
@@ -132,7 +132,7 @@ class DragModel:
         own = left_matrix(decoded) @ half
         matrices, d_matrices = turning(np.concatenate([local, own[None], turn[None]]))
         whole, d_whole, back = matrices[-2], d_matrices[-2], matrices[-1]
-        # The root's own rotation is not seen from the root.
+        # The root's own rotation is not relative to the root.
         matrices[0], d_matrices[0] = np.eye(3), 0.0
         bones = (matrices[_PARENTS] @ offsets[:, :, None])[..., 0]
         joints = _ANCESTORS @ bones
@@ -161,12 +161,12 @@ class DragModel:
     def _decoded(
         self, latent: np.ndarray, slopes: bool
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Rotations ``(22, 4)`` seen from the root, its displacement, and their derivatives."""
-        # The first column is the value, the others its derivatives: one product makes both.
+        """Rotations ``(22, 4)`` relative to the root, its displacement, and their derivatives."""
+        # The first column is the value, the others its derivatives: one product computes both.
         columns = [latent[:, None], np.eye(LATENT)] if slopes else [latent[:, None]]
         x = np.concatenate(columns, axis=1)
         for i, (weight, bias) in enumerate(self._layers):
-            # PyTorch's product, so that efficiency.py counts it; what is small costs less in NumPy.
+            # PyTorch's product, since efficiency.py counts it; small products are faster in NumPy.
             x = torch.mm(weight, torch.from_numpy(x)).numpy()
             x[:, 0] += bias
             if i < len(self._layers) - 1:
@@ -183,7 +183,7 @@ class DragModel:
 
 
 def _dense(module: DragPoserModule) -> list[tuple[Tensor, np.ndarray]]:
-    """Weights and biases of the decoder's layers, unpooling and masks multiplied in."""
+    """Weights and biases of the decoder's layers, with unpooling and masks multiplied in."""
     vae = module.vae
     layers: list[tuple[Tensor, Tensor]] = [(vae.from_latent.weight, vae.from_latent.bias)]
     for level, layer in zip((2, 1, 0), vae.decoder, strict=True):

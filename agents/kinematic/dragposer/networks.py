@@ -3,7 +3,7 @@
 Source: Ponton et al., "DragPoser: Motion Reconstruction from Variable Sparse Tracking Signals via
 Latent Space Optimization", 2024. The `paper` preset has the 65,872 parameters of the released
 autoencoder (the paper says about 168 thousand) and a predictor of about 1.28 million.
-``drag_solver`` is what runs on a stream.
+``drag_solver`` uses them on a stream.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from questsim.skeleton import JOINTS, NUM_JOINTS
 
 LATENT = 24
 ENCODED, DECODED = 8, 4
-"""Channels of a joint in encoder and decoder."""
+"""Channels per joint in encoder and decoder."""
 TOKEN_EVERY = 4
 PAST, FUTURE = 16, 16
-"""Tokens that the predictor reads and answers, one every ``TOKEN_EVERY`` frames."""
+"""Number of tokens that the predictor reads and predicts, one every ``TOKEN_EVERY`` frames."""
 HEIGHT_JOINTS: tuple[int, ...] = tuple(
     JOINTS.index(name)
     for name in ("root", "head", "left_wrist", "right_wrist", "left_ankle", "right_ankle")
@@ -42,15 +42,15 @@ TOKEN = LATENT + 3 + len(HEIGHT_JOINTS)
 
 @dataclass(frozen=True)
 class DragPoserSpec:
-    """Sizes, and how poses are found at run time.
+    """Network sizes and settings of the solver.
 
     Attributes:
         size, heads, encoder_layers, decoder_layers, feed_forward, dropout: of the predictor.
-        solver: ``adam`` (as published) or ``newton`` (damped Gauss-Newton, which one iteration a
-            frame is enough for).
-        iterations: of the solver, at most, a frame.
-        predictor: whether there is the temporal predictor; else its stage is not trained, and the
-            last latent is what the next one is expected to be.
+        solver: ``adam`` (as published) or ``newton`` (damped Gauss-Newton; one iteration per frame
+            is enough).
+        iterations: largest number of solver iterations per frame.
+        predictor: whether the temporal predictor is used. Without it, its stage is not trained and
+            the last latent is the prediction of the next one.
     """
 
     size: int = 48
@@ -66,12 +66,12 @@ class DragPoserSpec:
 
 @dataclass(frozen=True)
 class Decoded:
-    """A pose out of the autoencoder.
+    """A pose decoded by the autoencoder.
 
     Attributes:
-        rotation: ``(..., 22, 4)`` unit quaternions seen from the root; the root's own is its turn
-            since the frame before.
-        displacement: ``(..., 3)`` metres the root moved, in its own frame before.
+        rotation: ``(..., 22, 4)`` unit quaternions relative to the root; the root's own is its
+            rotation since the previous frame.
+        displacement: ``(..., 3)`` metres the root moved, in its own previous frame.
     """
 
     rotation: Tensor
@@ -81,8 +81,9 @@ class Decoded:
 class PoseAutoencoder(nn.Module):
     """The variational autoencoder of single poses.
 
-    All layers are skeletal with a kernel of one frame. From 22 joints of 8 channels down to 6,
-    24 latent numbers, and up again at 4 channels with a slot for the root's displacement.
+    All layers are skeletal with a kernel of one frame. The encoder reduces 22 joints of 8 channels
+    to 6 joints and 24 latent values; the decoder has 4 channels per joint and a slot for the
+    root's displacement.
     """
 
     def __init__(self) -> None:
@@ -113,7 +114,7 @@ class PoseAutoencoder(nn.Module):
         return self.to_mean(x), self.to_log_variance(x).clamp(-20.0, 4.0)
 
     def decode(self, latent: Tensor) -> Tensor:
-        """Numbers ``(B, 23, 4)`` of latents ``(B, 24)``: 22 joints, then the displacement."""
+        """Decode latents ``(B, 24)`` to ``(B, 23, 4)``: 22 joints, then the displacement."""
         x = nn.functional.leaky_relu(self.from_latent(latent), 0.2)
         for level, layer in zip((2, 1, 0), self.decoder, strict=True):
             x = layer(spread(getattr(self, f"unpool_{level}"), x, DECODED))
@@ -123,12 +124,13 @@ class PoseAutoencoder(nn.Module):
 
 
 class LatentPredictor(nn.Module):
-    """A transformer from past tokens to coming latents.
+    """A transformer that predicts future latents from past tokens.
 
-    Every answer is asked for by the last token; sinusoids tell places (Vaswani et al. 2017).
+    The last token is the query of every prediction; positions are encoded by sinusoids
+    (Vaswani et al. 2017).
 
     Args:
-        spec: sizes.
+        spec: network sizes.
     """
 
     def __init__(self, spec: DragPoserSpec) -> None:
@@ -139,15 +141,15 @@ class LatentPredictor(nn.Module):
             spec.dropout, batch_first=True,
         )  # fmt: skip
         self.out = nn.Linear(spec.size, LATENT)
-        # It begins by expecting that nothing changes.
+        # The untrained predictor predicts no change.
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
         self.register_buffer("places", _sinusoids(PAST + FUTURE, spec.size), persistent=False)
 
     def forward(self, past: Tensor, future: int) -> Tensor:
-        """Z-scored latents ``(B, future, 24)`` that follow z-scored tokens ``(B, P, 33)``.
+        """Predict z-scored latents ``(B, future, 24)`` from z-scored tokens ``(B, P, 33)``.
 
-        They are told as changes of the last token's latent.
+        The network's output is the change from the last token's latent.
         """
         assert isinstance(self.places, Tensor)
         count = past.shape[1]
@@ -166,7 +168,7 @@ class DragPoserModule(nn.Module):
     """Autoencoder, predictor and the normalisers.
 
     Args:
-        spec: sizes.
+        spec: network sizes.
     """
 
     mean: Tensor
@@ -196,22 +198,22 @@ class DragPoserModule(nn.Module):
     def decode(self, latent: Tensor) -> Decoded:
         """Poses of latents ``(B, 24)``."""
         out = self.vae.decode(latent)
-        # Told against the mean pose, so that an untrained decoder already stands.
+        # Relative to the mean pose, so that an untrained decoder already gives a standing pose.
         rotation = diff.unit_quat(out[..., :NUM_JOINTS, :] + self.mean[:, :4])
         return Decoded(rotation, out[..., NUM_JOINTS, :3] * self.step_std)
 
 
 def pose_of(world: Tensor, position: Tensor, before: Tensor, root_before: Tensor) -> Tensor:
-    """What the autoencoder reads: dual quaternions ``(B, 22, 8)`` seen from the root.
+    """Input of the autoencoder: dual quaternions ``(B, 22, 8)`` relative to the root.
 
-    The root's slot has its turn since the frame before, then its displacement in its own frame
-    before, and a zero. Quaternions have ``w >= 0``.
+    The root's slot holds its rotation since the previous frame, its displacement in its previous
+    frame, and a zero. Quaternions have ``w >= 0``.
 
     Args:
         world: ``(B, 22, 4)`` orientations.
         position: ``(B, 22, 3)``.
-        before: ``(B, 4)`` the root's orientation in the frame before.
-        root_before: ``(B, 3)`` its position.
+        before: ``(B, 4)`` the root's orientation in the previous frame.
+        root_before: ``(B, 3)`` the root's position in the previous frame.
     """
     inverse = diff.quat_conjugate(world[:, :1])
     rotation = diff.quat_multiply(*torch.broadcast_tensors(inverse, world))
@@ -227,7 +229,7 @@ def pose_of(world: Tensor, position: Tensor, before: Tensor, root_before: Tensor
 
 
 def joints_from_root(rotation: Tensor, offsets: Tensor) -> Tensor:
-    """Joints ``(..., 22, 3)`` seen from the root, of rotations ``(..., 22, 4)`` seen from it."""
+    """Joints ``(..., 22, 3)`` in root space, from rotations ``(..., 22, 4)`` in root space."""
     matrix = diff.quat_to_matrix(rotation)
     unturned = torch.eye(3).to(matrix).expand(*matrix.shape[:-3], 1, 3, 3)
     return diff.positions_from_root(torch.cat([unturned, matrix[..., 1:, :, :]], -3), offsets)

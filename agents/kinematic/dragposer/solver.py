@@ -1,9 +1,9 @@
-"""DragPoser on a stream: each frame the latent is dragged until the pose meets the trackers.
+"""DragPoser on a stream: optimise the latent in each frame until the pose meets the trackers.
 
-The trackers may change from frame to frame. Different from the published system: the root's place
-and orientation are unknowns of their own beside the latent, which the decoder only predicts, so
-that errors do not add up; the default solver is a damped Gauss-Newton method, which needs fewer
-iterations than Adam; and a pose that has lost its trackers is begun anew.
+The set of trackers may change from frame to frame. Differences from the published system: the
+root's position and orientation are additional unknowns that the decoder only predicts, so that
+errors do not accumulate; the default solver is a damped Gauss-Newton method, which needs fewer
+iterations than Adam; and a pose that has lost its trackers is initialised again.
 """
 
 from __future__ import annotations
@@ -40,27 +40,27 @@ HIP, HEAD = JOINTS.index("root"), JOINTS.index("head")
 ANKLES = [JOINTS.index("left_ankle"), JOINTS.index("right_ankle")]
 
 PASSED_ON = (HEAD, JOINTS.index("left_wrist"), JOINTS.index("right_wrist"), *ANKLES)
-"""Joints whose orientation is taken as it is measured, as SparsePoser has it."""
+"""Joints that take the measured orientation, as in SparsePoser."""
 HIP_WEIGHTS, OTHER_WEIGHTS = (10.0, 10.0), (5.0, 0.01)
-"""Of position and rotation of trackers (the paper)."""
+"""Weights of trackers' position and rotation (the paper)."""
 PREDICTION_WEIGHTS = {6: 0.02, 5: 0.02, 4: 0.125, 3: 0.15}
-"""lambda_T by number of trackers (the paper; 5 as 6)."""
+"""lambda_T by number of trackers (the paper; for 5 as for 6)."""
 NEWTON_SHARE = 0.05
-"""Of lambda_T that the Gauss-Newton solver uses: it reaches the optimum, which Adam in the paper's
-few steps does not, and there the whole weight holds the pose back from its trackers."""
+"""Factor on lambda_T in the Gauss-Newton solver. This solver reaches the optimum, unlike the few
+steps of Adam in the paper, and there the full weight keeps the pose away from its trackers."""
 GOOD_POSITION, GOOD_ROTATION = 1e-4, 0.01
 """Losses at which Adam stops (the paper)."""
 ADAM_RATE = 0.01
 ROOT_WEIGHTS = (0.5, 0.05)
-"""How much the root's own move (m) and turn (rad) shall be what the decoder says."""
+"""Weights that keep the root's translation (m) and rotation (rad) near the decoded ones."""
 FLOOR_WEIGHT, UNDER_HEAD_WEIGHT = 0.5, 0.05
-"""Without a hip tracker: the lower ankle near the floor, the hip below the head."""
+"""Weights without a hip tracker: the lower ankle near the floor, the hip below the head."""
 ANKLE_RISE_M = 0.03
-"""An ankle stands this much higher than its toe's drop below it."""
+"""Height in m of an ankle above the floor, in addition to the toe's drop below the ankle."""
 LOST_M, LOST_FRAMES = 0.10, 6
-"""Trackers this far off, on the mean, for so many frames: begin anew ..."""
+"""Restart when the mean tracker error exceeds this distance for this number of frames ..."""
 BETTER, PATIENCE = 0.7, 60
-"""... where that brings them this much nearer, and at most once in so many frames."""
+"""... if it reduces the error to this share, at most once in this number of frames."""
 FIRST_ITERATIONS = 40
 
 _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
@@ -72,11 +72,11 @@ class Goal:
 
     Attributes:
         joints: indices of the joints whose trackers report.
-        position, quat: ``(D, 3)`` and ``(D, 4)`` of these in the world.
+        position, quat: ``(D, 3)`` and ``(D, 4)`` of these joints in the world.
         weights: ``(D, 2)`` of position and rotation.
-        predicted: ``(24,)`` the latent that was expected.
+        predicted: ``(24,)`` the predicted latent.
         prediction_weight: lambda_T.
-        root, turn: ``(3,)``, ``(4,)`` the root's place and orientation in the frame before.
+        root, turn: ``(3,)``, ``(4,)`` the root's position and orientation in the previous frame.
     """
 
     joints: list[int]
@@ -93,13 +93,13 @@ class DragPoser(KinematicSystem):
     """DragPoser on a stream.
 
     Args:
-        module: trained.
+        module: a trained module.
         name: for messages.
-        iterations: of the solver a frame; by default the preset's.
+        iterations: solver iterations per frame; by default the preset's.
         solver: ``newton`` or ``adam``; by default the preset's.
-        predictor: whether a trained predictor tells what to expect; else the last latent does.
-        constraints: losses to be met beside the trackers'; see ``constraints``.
-        rotations: whether trackers' orientations count.
+        predictor: whether to use the trained predictor; otherwise the last latent is predicted.
+        constraints: losses in addition to the trackers'; see ``constraints``.
+        rotations: whether trackers' orientations are used.
     """
 
     devices = DEVICES
@@ -134,7 +134,7 @@ class DragPoser(KinematicSystem):
         self.constraints = tuple(constraints)
 
     def usable(self, sensors: str | Sequence[str]) -> tuple[str, ...]:
-        """Three or more trackers, the headset or the pelvis's among them; see the base class."""
+        """Require three or more trackers, with headset or pelvis among them; see the base class."""
         names = super().usable(sensors)
         if len({WORN[name].link for name in names}) < len(names):
             raise InputError("two trackers are on one foot", "sensors")
@@ -182,7 +182,7 @@ class DragPoser(KinematicSystem):
         local = rot.quat_multiply(rot.quat_conjugate(quat[list(JOINT_PARENTS)]), quat)
         local[0] = quat[0]
         for joint, weight, measured in zip(goal.joints, goal.weights, goal.quat, strict=True):
-            # The solver hardly weighs these rotations; they move nothing that is tracked.
+            # The solver gives these rotations little weight, and no tracked joint depends on them.
             if joint in PASSED_ON and weight[1] > 0:
                 local[joint] = rot.quat_multiply(
                     rot.quat_conjugate(quat[JOINT_PARENTS[joint]]), measured
@@ -210,7 +210,7 @@ class DragPoser(KinematicSystem):
         )
 
     def _start(self, goal: Goal) -> np.ndarray:
-        """A mean pose where the hip's tracker is, or under the head, or where any tracker is."""
+        """A mean pose at the hip tracker, else under the head, else at any tracker."""
         unknowns = np.zeros(UNKNOWNS)
         anchor = HIP if HIP in goal.joints else HEAD if HEAD in goal.joints else goal.joints[0]
         at = goal.joints.index(anchor)
@@ -225,7 +225,7 @@ class DragPoser(KinematicSystem):
     def _residuals(
         self, unknowns: np.ndarray, goal: Goal, slopes: bool = False
     ) -> tuple[np.ndarray, np.ndarray]:
-        """``(R,)`` whose squared sum is the loss, and their derivatives ``(R, 30)``.
+        """Residuals ``(R,)`` whose squared sum is the loss, and their derivatives ``(R, 30)``.
 
         Without ``slopes`` the derivatives have no columns.
         """
@@ -275,7 +275,7 @@ class DragPoser(KinematicSystem):
         return unknowns
 
     def _adam(self, unknowns: np.ndarray, goal: Goal, iterations: int) -> np.ndarray:
-        """The published way: Adam, until trackers are near enough."""
+        """The published solver: Adam until the trackers are near enough."""
         free = torch.from_numpy(unknowns.copy())
         optimiser = torch.optim.Adam([free], lr=ADAM_RATE)
         for _ in range(iterations):
@@ -312,14 +312,14 @@ class DragPoser(KinematicSystem):
     # -- prediction ------------------------------------------------------------------------
 
     def _expected(self, latent: np.ndarray) -> np.ndarray:
-        """The latent expected now: on the way to the predicted one, or the last."""
+        """This frame's predicted latent, interpolated to the prediction, or the last one."""
         if self._coming is None:
             return latent
         share = min(self._since + 1, TOKEN_EVERY) / TOKEN_EVERY
         return self._coming[0] * (1 - share) + self._coming[1] * share
 
     def _note_token(self, figure: PosedSkeleton) -> None:
-        """Every fourth frame: remember a token, and predict the latent four frames on."""
+        """Every fourth frame: store a token, and predict the latent four frames ahead."""
         self._since += 1
         if not self.use_predictor or (self._tokens and self._since < TOKEN_EVERY):
             return
@@ -340,22 +340,22 @@ class DragPoser(KinematicSystem):
 # -- what a frame asks for -------------------------------------------------------------------
 
 _Part = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Numbers to be brought to zero, their derivatives in one axis more, their weights' roots."""
+"""Residuals, their derivatives (one more axis), and the square roots of their weights."""
 
 
 def _held(goal: Goal) -> np.ndarray:
-    """``(30,)`` what the unknowns are held to: the latent expected, the root as decoded."""
+    """Prior means ``(30,)`` of the unknowns: the predicted latent, the root as decoded."""
     return np.concatenate([goal.predicted, np.zeros(UNKNOWNS - LATENT)])
 
 
 def _hold(goal: Goal) -> np.ndarray:
-    """``(30,)`` roots of the weights with which they are."""
+    """Square roots ``(30,)`` of the weights of this prior."""
     weights = [goal.prediction_weight / LATENT, *(weight / 3.0 for weight in ROOT_WEIGHTS)]
     return np.repeat(np.sqrt(weights), [LATENT, 3, 3])
 
 
 def _off_trackers(figure: PosedSkeleton, goal: Goal) -> list[_Part]:
-    """Metres, and twice the vector parts of the turns, that joints are off their trackers."""
+    """Tracker errors: metres, and twice the vector parts of the rotation errors."""
     scales = np.sqrt(goal.weights / (3.0 * len(goal.joints)))
     back = left_matrix(rot.quat_conjugate(goal.quat))
     turned = (back @ figure.quat[goal.joints][..., None])[..., 0]
@@ -371,7 +371,7 @@ def _off_trackers(figure: PosedSkeleton, goal: Goal) -> list[_Part]:
 
 
 def _asked(constraint: Constraint, figure: PosedSkeleton) -> _Part:
-    """The root of a user's loss; where it has no slope, none is followed."""
+    """The square root of a user's loss; its derivative is set to zero where it is undefined."""
     position = torch.from_numpy(figure.position)[None].requires_grad_()
     quat = torch.from_numpy(figure.quat)[None].requires_grad_()
     with torch.enable_grad():
@@ -393,5 +393,5 @@ def _near(figure: PosedSkeleton, goal: Goal) -> bool:
 
 
 def _mean_distance(figure: PosedSkeleton, goal: Goal) -> float:
-    """Metres that the joints are off their trackers."""
+    """Mean distance in metres between joints and their trackers."""
     return float(np.linalg.norm(figure.position[goal.joints] - goal.position, axis=-1).mean())

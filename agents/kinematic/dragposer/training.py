@@ -24,21 +24,21 @@ from agents.kinematic.learning import Learning, Task
 from questsim import differentiable as diff
 
 FK_WEIGHT, KLD_WEIGHT = 100.0, 0.001
-"""Beside 1 for quaternions (the paper)."""
+"""Weight of the forward kinematics loss; quaternions have weight 1 (the paper)."""
 CONTINUITY = "continuity"
 WEIGHTS = {CONTINUITY: 1.0}
-"""Of the continuity loss (the paper); 0 leaves it out."""
+"""Weight of the continuity loss (the paper); 0 disables it."""
 LATENT_STEP = 0.1
-"""Length factor of the one gradient step that continuity takes."""
+"""Step size of the single gradient step in the continuity loss."""
 NOISE_CHANCE, NOISE_STD = 0.1, 0.3
-"""Of the predictor's inputs: share of windows with disturbed tokens, in deviations."""
+"""Disturbance of the predictor's inputs: share of windows, and noise in standard deviations."""
 NORMALISED_BY = 512
 
 _Batch = tuple[Windows, Tensor]
 
 
 def poses(windows: Windows, frame: int) -> Tensor:
-    """``pose_of`` of one frame of windows ``(B, 22, 8)``, from the frame before it."""
+    """``pose_of`` for one frame of windows and the frame before it: ``(B, 22, 8)``."""
     turned = diff.matrix_to_quat(windows.world[:, frame - 1 : frame + 1])
     return pose_of(
         turned[:, 1], windows.position[:, frame], turned[:, 0, 0], windows.position[:, frame - 1, 0]
@@ -48,7 +48,7 @@ def poses(windows: Windows, frame: int) -> Tensor:
 def make_task(
     module: nn.Module, stage: str, learning: Learning, bank: MotionBank, validation: int
 ) -> Task:
-    """Stage ``vae`` or ``predictor``."""
+    """Create the task of stage ``vae`` or ``predictor``."""
     assert isinstance(module, DragPoserModule)
     if not module.std.any():
         told = poses(bank.fixed(NORMALISED_BY), 1)
@@ -87,7 +87,7 @@ def _normal(rng: np.random.Generator, stage: str, count: int) -> Tensor:
 
 
 def _apart(module: DragPoserModule, latent: Tensor, target: Tensor, offsets: Tensor) -> Tensor:
-    """Reconstruction loss ``(B,)``: 1 quaternion MSE + 100 FK MSE, displacement among them."""
+    """Reconstruction loss ``(B,)``: 1 quaternion MSE + 100 FK MSE, which includes displacement."""
     got = module.decode(latent)
     want = target[..., :4]
     sign = torch.sign((got.rotation * want).sum(-1, keepdim=True).detach())
@@ -131,7 +131,7 @@ def _vae_loss(module: DragPoserModule, continuity_weight: float) -> _Loss:
 
 
 def tokens_of(module: DragPoserModule, windows: Windows) -> Tensor:
-    """Tokens ``(B, P, 33)`` of every fourth frame: latent, displacement since, heights."""
+    """Tokens ``(B, P, 33)`` of every fourth frame: latent, displacement since the last, heights."""
     frames = range(TOKEN_EVERY, windows.frames, TOKEN_EVERY)
     turned = diff.matrix_to_quat(windows.world[:, :, 0])
     told = []
