@@ -1,8 +1,8 @@
-"""A batch of avatars spread over Ray actors: each plays a whole rollout, the learner stays one.
+"""A batch of avatars spread over Ray actors; each plays whole rollouts for a single learner.
 
-Between two updates a worker gets the policy's weights once and returns a rollout once. With the
-rollout it returns its state, so that a worker that died is replaced and plays the same rollout
-again, with the same bits.
+Per update, a worker receives the policy's weights once and returns one rollout together with its
+state. If a worker dies, its replacement starts from that state and plays the same rollout again,
+bit for bit.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from questsim.motion.clip import Clip
 from questsim.skeleton import NUM_DOFS
 
 SEED_STEP = 1_000_003
-"""Between the seeds of two workers: the first has the seed of a training without workers."""
+"""Seed difference between workers; the first has the seed of a training without workers."""
 ATTEMPTS = 5
-"""So often a worker is replaced within one rollout before the training gives up."""
+"""Attempts per worker and rollout before the training gives up."""
 Weights = dict[str, np.ndarray]
 ROLLOUT = ("observations", "actions", "means", "rewards", "dones")
-"""What a policy's rollout has of each step and avatar, as ``TensorRolloutBuffer`` names it."""
+"""Arrays of a policy's rollout per step and avatar, named as in ``TensorRolloutBuffer``."""
 
 
 @dataclass(frozen=True)
 class BatchSpec:
-    """What a batch of avatars is made of; see ``QuestVecEnv``."""
+    """Settings of a batch of avatars; see ``QuestVecEnv``."""
 
     clips: Sequence[Clip]
     config: EnvConfig
@@ -51,7 +51,7 @@ class BatchSpec:
     shown: Sequence[Clip] | None = None
 
     def make(self) -> QuestVecEnv:
-        """The batch."""
+        """Create the batch."""
         return QuestVecEnv(
             self.clips, self.config, self.num_envs, self.seed, self.threads, self.shown
         )
@@ -59,18 +59,18 @@ class BatchSpec:
 
 @dataclass(frozen=True)
 class Played:
-    """What a worker returns of one rollout of ``T`` steps of ``n`` avatars.
+    """A worker's result of one rollout of ``T`` steps of ``n`` avatars.
 
     Attributes:
         arrays: by name, each ``(T, n, ...)``; a student's are ``(T * n, ...)``.
         rewards, dones: ``(T, n)``.
         terms: ``(T, n, terms)`` of the reward.
-        ended: of each step the environments whose episode ended, with their infos.
-        truncated: of the rollout, see ``Truncated``.
+        ended: for each step, the environments whose episode ended, with their infos.
+        truncated: truncated episodes of the rollout; see ``Truncated``.
         episodes: arguments of ``Sampler.record``, in order.
         observation: ``(n, D)`` after the last step.
-        state: of the worker afterwards.
-        unstable: simulations that failed so far.
+        state: the worker's state after the rollout.
+        unstable: number of simulations that have failed so far.
     """
 
     arrays: dict[str, np.ndarray]
@@ -86,10 +86,10 @@ class Played:
 
 
 class RolloutWorker:
-    """Plays a part of the batch; a Ray actor, and the same without Ray.
+    """Plays a part of the batch, as a Ray actor or without Ray.
 
     Args:
-        batch: its part.
+        batch: the worker's part.
     """
 
     def __init__(self, batch: BatchSpec) -> None:
@@ -103,7 +103,7 @@ class RolloutWorker:
         self._sampler = self.env.sim.sampler.get_state()
 
     def describe(self) -> dict[str, Any]:
-        """What a learner asks of an environment, and the versions that this worker runs."""
+        """Properties of the environment that a learner needs, and the worker's versions."""
         env = self.env
         return {
             "layout": dict(env.layout),
@@ -115,11 +115,11 @@ class RolloutWorker:
         }
 
     def pid(self) -> int:
-        """Its process."""
+        """Process id of the worker."""
         return os.getpid()
 
     def learn_policy(self, policy: TorquePolicy) -> None:
-        """Get ready to play a policy's rollouts."""
+        """Prepare for rollouts of a policy."""
         self._policy = policy
         self.env.seed(self._seed)  # as stable-baselines3 does with an environment of its own
         self._player = PolicyPlayer(self.env, self._seed, self._threads)
@@ -127,7 +127,7 @@ class RolloutWorker:
     def learn_student(
         self, teacher: TorquePolicy, student: TorquePolicy, exploration: float
     ) -> None:
-        """Get ready to play a student's rollouts."""
+        """Prepare for rollouts of a student."""
         self._policy = student
         self._player = StudentPlayer(
             self.env, teacher, student, exploration, self._seed, self._threads
@@ -139,10 +139,10 @@ class RolloutWorker:
         """Play one rollout.
 
         Args:
-            weights: of the policy.
-            episodes: that ended in all workers since the last rollout, in the workers' order.
-            steps: of each avatar.
-            share: of avatars that a teacher drives.
+            weights: weights of the policy.
+            episodes: episodes ended in all workers since the last rollout, in the workers' order.
+            steps: steps of each avatar.
+            share: share of avatars that a teacher drives.
         """
         assert self._policy is not None
         assert self._player is not None
@@ -174,7 +174,7 @@ class RolloutWorker:
         )
 
     def _merge(self, episodes: list[tuple[np.ndarray, ...]]) -> None:
-        """Let the sampler know the episodes of all workers, as if one had seen them all."""
+        """Record the episodes of all workers in the sampler, as if played by one batch."""
         sampler = self.env.sim.sampler
         sampler.set_state(self._sampler)
         sampler.log = None
@@ -190,13 +190,13 @@ class RolloutWorker:
         return self._buffer
 
     def get_state(self) -> dict[str, Any]:
-        """What the coming rollouts depend on, beside weights and episodes."""
+        """State that the next rollouts depend on, besides weights and episodes."""
         player = self._player
         noise = None if player is None else player.generator.get_state().numpy().copy()
         return {"env": self.env.get_state(), "noise": noise, "sampler": self._sampler}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Take up what ``get_state`` gave."""
+        """Restore a state from ``get_state``."""
         self.env.set_state(state["env"])
         self._sampler = {name: np.array(rates) for name, rates in state["sampler"].items()}
         if self._player is not None and state["noise"] is not None:
@@ -205,7 +205,7 @@ class RolloutWorker:
 
 
 class _Kept:
-    """What a learner's monitor wants to know of each step."""
+    """Figures of each step for the learner's monitor."""
 
     def __init__(self, env: QuestVecEnv) -> None:
         self._env = env
@@ -215,7 +215,7 @@ class _Kept:
         self.ended: list[list[tuple[int, dict[str, Any]]]] = []
 
     def after(self, rewards: np.ndarray, dones: np.ndarray, infos: list[dict[str, Any]]) -> bool:
-        """Keep a step; the last observations of episodes are kept by the player."""
+        """Store a step; the player keeps the last observations of episodes."""
         self.rewards.append(rewards)
         self.dones.append(dones)
         self.terms.append(np.asarray(self._env.reward_terms, np.float32).copy())
@@ -229,28 +229,28 @@ class _Kept:
 
 
 def weights_of(policy: TorquePolicy) -> Weights:
-    """What acting depends on: networks, normaliser and noise, without the critic."""
+    """Weights needed for acting: networks, normaliser and noise, without the critic."""
     state = policy.state_dict()
     return {k: v.numpy().copy() for k, v in state.items() if not k.startswith("critic.")}
 
 
 def load_weights(policy: TorquePolicy, weights: Weights) -> None:
-    """Give a policy the weights of ``weights_of``."""
+    """Load weights from ``weights_of`` into a policy."""
     state = {name: torch.as_tensor(np.array(value)) for name, value in weights.items()}
     policy.load_state_dict(state, strict=False)
 
 
 class ActorPool(VecEnv):
-    """The workers, with the face of one batch that learners and checkpoints know.
+    """All workers behind the interface of a single batch, as learners and checkpoints expect.
 
-    It is never stepped: ``policy_player`` and ``student_player`` play whole rollouts.
+    The pool cannot be stepped: ``policy_player`` and ``student_player`` play whole rollouts.
 
     Args:
         batch: the whole batch; each worker gets an equal part.
-        count: workers.
+        count: number of workers.
 
     Raises:
-        InputError: the avatars cannot be shared out equally, or a worker has other versions.
+        InputError: the avatars cannot be divided equally, or a worker has other versions.
     """
 
     def __init__(self, batch: BatchSpec, count: int) -> None:
@@ -296,7 +296,7 @@ class ActorPool(VecEnv):
 
     @property
     def count(self) -> int:
-        """How many workers there are."""
+        """Number of workers."""
         return len(self._actors)
 
     @staticmethod
@@ -312,7 +312,7 @@ class ActorPool(VecEnv):
                     )
 
     def _all(self, call: Callable[[Any], Any]) -> list[Any]:
-        """The results of a call of every worker, in their order."""
+        """Results of a call to every worker, in the workers' order."""
         references = [call(actor) for actor in self._actors]
         return [self._result(k, ref, call) for k, ref in enumerate(references)]
 
@@ -334,7 +334,7 @@ class ActorPool(VecEnv):
         raise InputError(f"died {ATTEMPTS} times in one rollout", f"worker {k}", fix)
 
     def _replace(self, k: int) -> None:
-        """Put a new worker in the place of a dead one, in the state that it had last."""
+        """Replace a dead worker by a new one in its last known state."""
         actor = self._actors[k] = self._make(k)
         for method, args in self._ready:
             actor.call.remote(method, *args)
@@ -342,7 +342,7 @@ class ActorPool(VecEnv):
             actor.call.remote("set_state", self._states[k])
 
     def get_ready(self, method: str, *args: Any) -> None:
-        """Call a worker's ``learn_...`` everywhere, now and for each that takes another's place."""
+        """Call a worker's ``learn_...`` on all workers and on every later replacement."""
         self._ready = [(method, tuple(self._ray.put(arg) for arg in args))]
         self._all(lambda actor: actor.call.remote(method, *self._ready[0][1]))
         for k, state in enumerate(self._states):
@@ -352,7 +352,7 @@ class ActorPool(VecEnv):
     def play(
         self, policy: TorquePolicy, steps: int, share: float, after: AfterStep
     ) -> list[Played]:
-        """One rollout of every worker; ``after`` is called as if one batch had been stepped."""
+        """One rollout of every worker; ``after`` is called as for one stepped batch."""
         weights, episodes = self._ray.put(weights_of(policy)), self._ray.put(self._episodes)
         played: list[Played] = self._all(
             lambda actor: actor.call.remote("play", weights, episodes, steps, share)
@@ -372,36 +372,36 @@ class ActorPool(VecEnv):
         return played
 
     def policy_player(self, seed: int, workers: Workers) -> RemotePolicyPlayer:
-        """What plays a policy's rollouts; seed and threads are the workers' own."""
+        """Player of a policy's rollouts; workers have their own seeds and threads."""
         return RemotePolicyPlayer(self)
 
     def student_player(
         self, teacher: TorquePolicy, student: TorquePolicy, exploration: float
     ) -> RemoteStudentPlayer:
-        """What plays a student's rollouts."""
+        """Player of a student's rollouts."""
         return RemoteStudentPlayer(self, teacher, student, exploration)
 
     def get_state(self) -> dict[str, Any]:
-        """The state of every worker, and the episodes that they do not know of each other yet."""
+        """The state of every worker, and the episodes that are not yet shared between workers."""
         states = self._states
         if any(state is None for state in states):
             states = self._all(lambda actor: actor.call.remote("get_state"))
         return {"workers": states, "episodes": [list(ended) for ended in self._episodes]}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Take up what ``get_state`` gave, of as many workers."""
+        """Restore a state from ``get_state`` with the same number of workers."""
         self._states = list(state["workers"])
         self._episodes = [tuple(np.asarray(a) for a in e) for e in state["episodes"]]
         for actor, part in zip(self._actors, self._states, strict=True):
             actor.call.remote("set_state", part)
 
     def close(self) -> None:
-        """End the workers."""
+        """Stop the workers."""
         for actor in self._actors:
             self._ray.kill(actor)
         self._actors = []
 
-    # A VecEnv must have these; a learner with workers never steps.
+    # Required by VecEnv; a learner with workers never steps the pool.
 
     def reset(self) -> np.ndarray:
         """Not available."""
@@ -416,7 +416,7 @@ class ActorPool(VecEnv):
         raise NotImplementedError("workers play whole rollouts")
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The attribute of the pool, once for each environment asked for."""
+        """The pool's attribute, repeated for each requested environment."""
         return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
@@ -428,16 +428,16 @@ class ActorPool(VecEnv):
         raise NotImplementedError("workers play whole rollouts")
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: Any = None) -> list[bool]:
-        """Nothing is wrapped."""
+        """Return False for every environment: none is wrapped."""
         return [False for _ in self._get_indices(indices)]
 
 
 def with_rates_of(saved: dict[str, Any], env: QuestVecEnv | ActorPool) -> dict[str, Any]:
-    """The state of an environment as it is, with the failure rates of another's saved state.
+    """The state of ``env``, with the failure rates from the saved state of another environment.
 
     Args:
-        saved: of another number of workers, or of none.
-        env: where the training goes on.
+        saved: state saved with another number of workers, or without workers.
+        env: the environment in which the training continues.
     """
     rates = saved["workers"][0]["sampler"] if "workers" in saved else saved["sampler"]
     state = env.get_state()
@@ -460,7 +460,7 @@ class RemotePolicyPlayer:
     def play(
         self, policy: TorquePolicy, buffer: TensorRolloutBuffer, after: AfterStep
     ) -> Truncated | None:
-        """See ``PolicyPlayer.play``; a rollout of workers is not ended early."""
+        """See ``PolicyPlayer.play``; rollouts of workers cannot be stopped early."""
         if not self._ready:
             self._pool.get_ready("learn_policy", policy)
             self._ready = True
@@ -476,11 +476,11 @@ class RemotePolicyPlayer:
         return sorted(truncated, key=lambda entry: entry[:2])
 
     def get_state(self) -> dict[str, Any]:
-        """Nothing: the pool has it."""
+        """Empty: the pool saves the state."""
         return {}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Nothing: the pool has it."""
+        """Does nothing: the pool restores the state."""
 
 
 class RemoteStudentPlayer:
@@ -505,15 +505,15 @@ class RemoteStudentPlayer:
         )
 
     def get_state(self) -> dict[str, Any]:
-        """Nothing: the pool has it."""
+        """Empty: the pool saves the state."""
         return {}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Nothing: the pool has it."""
+        """Does nothing: the pool restores the state."""
 
 
 def _actor(ray: Any, threads: int) -> Any:
-    """The class of the workers as a Ray actor that takes so many cores."""
+    """The worker's class as a Ray actor that reserves the given number of cores."""
 
     class Worker:
         def __init__(self, batch: BatchSpec, seed: int) -> None:
@@ -527,18 +527,18 @@ def _actor(ray: Any, threads: int) -> Any:
 
 @contextmanager
 def ray_cluster(address: str | None, cores: int) -> Iterator[None]:
-    """A Ray cluster for a while: one of this machine alone, or one that is there.
+    """Context of a Ray cluster: a new one on this machine, or an existing one.
 
     Args:
-        address: of a cluster, or None for one of this machine, which listens on loopback alone.
-        cores: that the workers want of this machine.
+        address: of an existing cluster; None starts one on this machine, on loopback only.
+        cores: cores that the workers need on this machine.
 
     Raises:
-        InputError: Ray is not installed, or nothing answers at the address.
+        InputError: Ray is not installed, or no cluster answers at the address.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     if address is None:
-        # Ray puts a node that must not be joined on loopback under this setting alone.
+        # Only this setting binds a Ray node to loopback, so that no other node can join it.
         os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
     else:
         os.environ.setdefault("RAY_AUTH_MODE", "token")

@@ -24,7 +24,7 @@ SENSOR_JOINTS: tuple[int, ...] = tuple(
 )
 HEAD = JOINTS.index("head")
 ACCELERATION_UNIT = 10.0
-"""m/s^2 that count as one, so that all features are of the same order."""
+"""Scale of accelerations in m/s^2, so that all features are of the same order."""
 
 ATOMS: dict[str, list[int]] = {}
 """Columns by source: head, left, right, left_in_head, right_in_head, left_leg, right_leg, pelvis.
@@ -51,20 +51,20 @@ _FPS, _UNIT = np.float32(SENSOR_FPS), np.float32(ACCELERATION_UNIT)
 def features(
     position: Tensor, rotation: Tensor, acceleration: Tensor, seen: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """The 135 numbers of each frame, and the frame they are told in.
+    """The 135 features of each frame, and the heading frame they are expressed in.
 
-    Everything is seen from the head's heading and its place on the floor, so that a walk means the
-    same in every direction and at every place; the papers take the axes of the recording. No frame
-    uses a later one; before the first, all is as in the first.
+    All features are relative to the head's heading and its position on the floor, so that they do
+    not depend on walking direction and place; the papers use the axes of the recording. No frame
+    depends on a later one; frames before the first are taken as equal to it.
 
     Args:
         position: ``(B, T, 3, 3)`` head and wrists in the world.
         rotation: ``(B, T, 6, 3, 3)`` of the joints of ``DEVICES``.
         acceleration: ``(B, T, 3, 3)`` of the IMUs in the world, m/s^2.
-        seen: ``(B, 3)`` bool, which IMUs there are; the others' numbers are zero.
+        seen: ``(B, 3)`` bool, which IMUs are present; features of the others are zero.
 
     Returns:
-        features ``(B, T, 135)`` and the heading's turn ``(B, T, 3, 3)``.
+        features ``(B, T, 135)`` and rotations of the heading ``(B, T, 3, 3)``.
     """
     arrays = (array.contiguous().numpy() for array in (position, rotation, acceleration, seen))
     told = np.zeros((*position.shape[:2], NUM_FEATURES), np.float32)
@@ -75,7 +75,7 @@ def features(
 
 @jit
 def _tell(position, rotation, acceleration, seen, told, heading):
-    """Write the numbers of each frame into zeros; see ``features``."""
+    """Write the features of each frame into a zeroed array; see ``features``."""
     frames = position.shape[1]
     now, was = np.empty((2, 3, 3), np.float32), np.empty((2, 3, 3), np.float32)
     place, last = np.empty((2, 3), np.float32), np.empty((2, 3), np.float32)
@@ -115,7 +115,7 @@ def _tell(position, rotation, acceleration, seen, told, heading):
 
 @jit
 def _heading(x, y):
-    """Cosine and sine of the direction of (x, y); of none, those of zero."""
+    """Cosine and sine of the direction of (x, y); for a zero vector, of angle zero."""
     length = math.sqrt(x * x + y * y)
     if length > 1e-6:
         return x / length, y / length
@@ -124,7 +124,7 @@ def _heading(x, y):
 
 @jit
 def _spin(before, now, out, at):
-    """Write the first two columns of the turn from one matrix to another to out[at:at + 6]."""
+    """Write two columns of the rotation from one matrix to another to out[at:at + 6]."""
     for c in range(2):
         for k in range(3):
             turned = before[0, k] * now[0, c] + before[1, k] * now[1, c] + before[2, k] * now[2, c]
@@ -133,7 +133,7 @@ def _spin(before, now, out, at):
 
 @jit
 def _in_head(turns, at, hands, place):
-    """Write turns and places of both hands as the head sees them."""
+    """Write rotations and positions of both hands relative to the head."""
     for h in range(2):
         for i in range(3):
             place[h, i] = 0.0

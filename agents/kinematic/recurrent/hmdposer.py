@@ -1,9 +1,9 @@
-"""HMD-Poser: tokens of sensors through LSTMs in time and transformers across the body.
+"""HMD-Poser: sensor tokens pass through LSTMs over time and transformers across the body.
 
 Source: Dai et al., "HMD-Poser: On-Device Real-time Human Motion Tracking from Scalable Sparse
-Observations", CVPR 2024. The `paper` preset has the parameters of the released code. Different
-here: accelerations are causal, LSTM states are carried on, features are seen from the head's
-heading, and the 16 shape numbers are lengths of bones (``questsim.proportions``) instead of SMPL's.
+Observations", CVPR 2024. The `paper` preset has as many parameters as the released code. Changes
+here: accelerations are causal, LSTM states are kept between frames, features are relative to the
+head's heading, and the 16 shape values are bone lengths (``questsim.proportions``), not SMPL's.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ TOKENS: tuple[str, ...] = (
 
 @dataclass(frozen=True)
 class HmdPoserSpec:
-    """Sizes of the network, and what it does without.
+    """Sizes of the network, and switches of its parts.
 
     Attributes:
-        size: features of a token.
-        blocks: pairs of LSTMs and transformer.
+        size: features per token.
+        blocks: number of pairs of LSTMs and transformer.
         layers, heads, feed_forward: of each transformer encoder.
         head_hidden: hidden units of the pose and shape heads.
-        acceleration_size: features of an IMU's token that tell its acceleration.
+        acceleration_size: features of an IMU's token that encode its acceleration.
         dropout: of the transformers.
-        hands_in_head: whether there are the two tokens of the hands as the head sees them.
-        shape_head: whether bones are estimated; else all people have those of the mean body.
+        hands_in_head: whether there are two tokens for the hands relative to the head.
+        shape_head: whether bones are estimated; otherwise the mean body is used.
     """
 
     size: int = 256
@@ -60,10 +60,10 @@ class HmdPoserSpec:
 
 
 class HmdPoserNet(DerivedWeights):
-    """From 135 features a frame to 22 rotations in 6D and 16 shape numbers.
+    """From 135 features per frame to 22 rotations in 6D and 16 shape values.
 
     Args:
-        spec: sizes.
+        spec: network sizes.
     """
 
     def __init__(self, spec: HmdPoserSpec) -> None:
@@ -120,7 +120,7 @@ class HmdPoserNet(DerivedWeights):
         return torch.stack(tokens, dim=-2)
 
     def _embeddings_at_once(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """All layers as ``side_by_side`` gives them, and where a token's features then are."""
+        """All layers for ``side_by_side``, and the positions of each token's features."""
         layers, columns = [], []
         for token, own in zip(self._tokens, self.embeddings, strict=True):
             assert isinstance(own, nn.ModuleList)
@@ -145,8 +145,8 @@ class HmdPoserNet(DerivedWeights):
 
         Args:
             features: ``(B, T, 135)``.
-            body: ``(B, 11)``; not read.
-            states: of the LSTMs before the first frame.
+            body: ``(B, 11)``; not used.
+            states: states of the LSTMs before the first frame.
 
         Returns:
             6D rotations ``(B, T, 22, 6)``, shape ``(B, T, 16)``, states after the last frame.

@@ -1,9 +1,9 @@
 """LGSIK-Poser: groups of sensors, masked graph convolutions and an IK head for each body part.
 
-Source: LGSIK-Poser, 2025. Sizes are those of the released code, but for one correction: its leg
-heads are wide enough for 18 numbers and read a hand by an index slip; here they read the 15 of
-their own leg's IMU, which makes 2 x 3 x 512 parameters less than the released 7,283,988. Different
-from it as well: see ``hmdposer``, and the gender in the shape group is left open (zeros).
+Source: LGSIK-Poser, 2025. Sizes are those of the released code, with one correction. By an index
+slip, the released leg heads are 18 wide and read a hand; here they read the 15 values of their own
+leg's IMU, which makes 2 x 3 x 512 parameters fewer than the released 7,283,988. Other changes: see
+``hmdposer``; the gender in the shape group is left open (zeros).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "upper": ("pelvis", "head", "left_in_head", "right_in_head"),
     "lower": ("pelvis", "head", "left_leg", "right_leg"),
 }
-"""What each group reads; the ninth group is the shape's."""
+"""Input columns of each group; the ninth group is the shape's."""
 
 _EDGES = {
     "torso": "torso head left_arm right_arm left_leg right_leg upper lower",
@@ -53,10 +53,10 @@ PARTS: dict[str, tuple[str, ...]] = {
     "left_leg": ("left_hip", "left_knee", "left_ankle", "left_toe"),
     "right_leg": ("right_hip", "right_knee", "right_ankle", "right_toe"),
 }
-"""The six parts with a head of their own, and its joints."""
+"""The six parts with an IK head each, and their joints."""
 
 LOSSES = ("lgsik", "hmdposer")
-"""What can be trained by; see ``recurrent.losses``."""
+"""Available training losses; see ``recurrent.losses``."""
 
 _END = {"head": "head", "left_arm": "left", "right_arm": "right",
         "left_leg": "left_leg", "right_leg": "right_leg"}  # fmt: skip
@@ -64,18 +64,18 @@ _END = {"head": "head", "left_arm": "left", "right_arm": "right",
 
 @dataclass(frozen=True)
 class LgsikSpec:
-    """Sizes of the network, and what it does without.
+    """Sizes of the network, and switches of its parts.
 
     Attributes:
-        size: features of a group.
-        hidden: the two hidden layers of each IK head.
-        shape_hidden: of both hidden layers of the shape head.
-        graph: whether groups reach each other through masked graph convolutions. Else the six parts
-            go on alone, and the groups that only feed others (upper, lower, shape) are left out.
-        ik_heads: whether each part has a head that sees its end's sensor and the root; else one
-            plain head answers all rotations from the features of all parts.
-        shape_group: whether measurements are read, by the shape group and the shape head; else
-            bones are estimated from the motion alone.
+        size: features per group.
+        hidden: units of the two hidden layers of each IK head.
+        shape_hidden: units of both hidden layers of the shape head.
+        graph: whether masked graph convolutions connect the groups. Otherwise the six parts are
+            processed separately, without the groups that only feed others (upper, lower, shape).
+        ik_heads: whether each part has a head that reads its end's sensor and the root; otherwise
+            one plain head outputs all rotations from the features of all parts.
+        shape_group: whether the shape group and the shape head read measurements; otherwise bones
+            are estimated from the motion alone.
         loss: ``lgsik``, or ``hmdposer`` for HMD-Poser's.
     """
 
@@ -89,9 +89,9 @@ class LgsikSpec:
 
 
 def group_mask(rows: int) -> Tensor:
-    """``(rows, 9)`` which groups feed which: the torso all, shape all, shape receives nothing.
+    """Mask ``(rows, 9)`` of the groups that each group reads: torso reads all, all read shape.
 
-    Shape keeps itself from layer to layer.
+    Shape reads only itself.
     """
     names = [*GROUPS, "shape"]
     mask = torch.zeros(len(names), len(names))
@@ -103,13 +103,13 @@ def group_mask(rows: int) -> Tensor:
 
 
 class LgsikNet(nn.Module):
-    """From 135 features a frame and 11 measurements to rotations in 6D and 16 shape numbers.
+    """From 135 features per frame and 11 measurements to rotations in 6D and 16 shape values.
 
     Args:
-        spec: sizes.
+        spec: network sizes.
 
     Raises:
-        InputError: there is no such loss.
+        InputError: unknown loss.
     """
 
     def __init__(self, spec: LgsikSpec) -> None:
@@ -141,7 +141,7 @@ class LgsikNet(nn.Module):
         self._order = [told.index(joint) for joint in range(NUM_JOINTS)]
 
     def _heads(self) -> list[nn.Sequential]:
-        """The root's, then those of the parts in the order of ``_END``; or one of all joints."""
+        """Heads of the root and the parts, in the order of ``_END``, or one for all joints."""
         size = self.spec.size
         if not self.spec.ik_heads:
             return [self._head(len(PARTS) * size, 6 * NUM_JOINTS)]
@@ -166,12 +166,12 @@ class LgsikNet(nn.Module):
     def forward(
         self, features: Tensor, body: Tensor, states: list[State] | None = None
     ) -> tuple[Tensor, Tensor, list[State]]:
-        """Poses of a sequence; arguments and result as ``HmdPoserNet.forward``, ``body`` is read.
+        """Poses of a sequence; arguments and result as in ``HmdPoserNet.forward``.
 
         Args:
             features: ``(B, T, 135)``.
-            body: ``(B, 11)`` measurements, centred and scaled; not read without the shape group.
-            states: of both banks of LSTMs before the first frame.
+            body: ``(B, 11)`` measurements, centred and scaled; not used without the shape group.
+            states: states of both banks of LSTMs before the first frame.
         """
         batch, frames = features.shape[:2]
         measured = body[:, None].expand(-1, frames, -1)
@@ -195,7 +195,7 @@ class LgsikNet(nn.Module):
         return six.view(batch, frames, NUM_JOINTS, 6), self.shape(told), [first, second]
 
     def _rotations(self, features: Tensor, x: Tensor) -> Tensor:
-        """Of the IK heads ``(B, T, 22, 6)``, from the parts' features ``(B, T, 6, size)``."""
+        """Output of the IK heads ``(B, T, 22, 6)`` from the parts' features ``(B, T, 6, size)``."""
         raw = [features[..., ATOMS[atom]] for atom in ("pelvis", "head")]
         root = self.heads[0](torch.cat([*raw, x[:, :, 0], x[:, :, 1]], dim=-1))
         parts = [root]

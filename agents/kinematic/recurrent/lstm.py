@@ -1,4 +1,4 @@
-"""Several LSTMs of one size side by side, with weight normalisation."""
+"""Several LSTMs of the same size side by side, with weight normalisation."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ State = tuple[Tensor, Tensor]
 
 
 class LstmBank(DerivedWeights):
-    """One LSTM a group; each reads and writes only its own group's features.
+    """One LSTM per group; each reads and writes only its own group's features.
 
-    Both weight matrices are normalised by row (Salimans and Kingma 2016), as HMD-Poser's released
-    code has them: a length and a direction for every row.
+    Both weight matrices are normalised by row (Salimans and Kingma 2016) into a length and a
+    direction per row, as in HMD-Poser's released code.
 
     Args:
-        groups: how many.
-        size: features in and out.
+        groups: number of groups.
+        size: input and output features per group.
     """
 
     def __init__(self, groups: int, size: int) -> None:
@@ -53,7 +53,7 @@ class LstmBank(DerivedWeights):
 
         Args:
             x: ``(B, T, groups, size)``.
-            state: to go on from; None for zeros.
+            state: initial state; None for zeros.
 
         Returns:
             hidden states ``(B, T, groups, size)`` and the state after the last frame.
@@ -73,7 +73,7 @@ class LstmBank(DerivedWeights):
         return hidden.transpose(0, 1)[:, None], (hidden, cell)
 
     def _sequence(self, x: Tensor, state: State) -> tuple[Tensor, State]:
-        """Group by group through PyTorch's own LSTM, which is made for sequences."""
+        """Run group by group through PyTorch's LSTM, which is fast on sequences."""
         kind = torch.get_autocast_dtype("cpu") if torch.is_autocast_enabled("cpu") else x.dtype
         both, bias = (w.to(kind) for w in self.derived(self._weights))
         into, across = both.split(self.size, dim=-1)

@@ -26,13 +26,13 @@ from questsim.proportions import NUM_BONES, bone_lengths, bone_of_joint, measure
 from questsim.skeleton import JOINTS, NUM_JOINTS
 
 SHAPE_UNIT = 0.1
-"""The shape numbers are logarithms of bone lengths against the template's, in tenths."""
+"""Unit of shape values, which are logarithms of bone lengths relative to the template's."""
 HISTORY = 2
-"""Frames before a window that accelerations reach back to."""
+"""Number of frames before a window that accelerations need."""
 WINDOWS_AT_ONCE = 64
-"""Of the online protocol: more of them take more memory, not less time."""
+"""Windows per batch in the online protocol; more use more memory without saving time."""
 VISIBLE = ((False, False, False), (True, True, False), (True, True, True))
-"""Which IMUs there are: HMD, HMD+2IMU, HMD+3IMU; drawn evenly in training."""
+"""Presence of the three IMUs: HMD, HMD+2IMU, HMD+3IMU; training draws them equally often."""
 
 _BONE_OF_JOINT = torch.as_tensor(bone_of_joint())
 
@@ -40,10 +40,10 @@ RecurrentSpec = HmdPoserSpec | LgsikSpec
 
 
 class RecurrentModule(nn.Module):
-    """A network and the mean body that its shape numbers refer to.
+    """A network and the mean body that its shape values refer to.
 
     Args:
-        spec: of HMD-Poser or LGSIK-Poser.
+        spec: spec of HMD-Poser or LGSIK-Poser.
     """
 
     template: Tensor
@@ -58,14 +58,14 @@ class RecurrentModule(nn.Module):
             layer.weight.data.mul_(0.1)
 
     def body_inputs(self, offsets: np.ndarray) -> Tensor:
-        """``(B, 11)``: gender left open, then lengths against the template's, in tenths."""
+        """``(B, 11)``: open gender, then lengths relative to the template's, in units of 0.1."""
         mean = measurements(self.template.numpy())
         known = (measurements(offsets) / mean - 1.0) / SHAPE_UNIT
         empty = np.zeros((len(offsets), SHAPE_INPUTS - known.shape[-1]))
         return torch.as_tensor(np.concatenate([empty, known], axis=-1), dtype=torch.float32)
 
     def bones(self, shape: Tensor) -> Tensor:
-        """Offsets ``(..., 22, 3)`` of shape numbers ``(..., 16)``."""
+        """Offsets ``(..., 22, 3)`` from shape values ``(..., 16)``."""
         scales = torch.exp((SHAPE_UNIT * shape).clamp(-0.7, 0.7))
         scales = torch.cat([scales, torch.ones_like(scales[..., :1])], dim=-1)
         return self.template * scales[..., _BONE_OF_JOINT, None]
@@ -75,7 +75,7 @@ class RecurrentPoser(KinematicSystem):
     """HMD-Poser or LGSIK-Poser on a stream.
 
     Args:
-        module: trained.
+        module: a trained module.
         name: for messages.
     """
 
@@ -88,7 +88,7 @@ class RecurrentPoser(KinematicSystem):
         _compile()
 
     def usable(self, sensors: str | Sequence[str]) -> tuple[str, ...]:
-        """As ``KinematicSystem.usable``; IMUs come as none, both knees, or knees and pelvis."""
+        """Like ``KinematicSystem.usable``; allowed IMUs: none, both knees, or knees and pelvis."""
         names = super().usable(sensors)
         if tuple(name in names for name in DEVICES[3:]) not in VISIBLE:
             raise InputError(
@@ -108,7 +108,7 @@ class RecurrentPoser(KinematicSystem):
         self._shape_sum, self._count = torch.zeros(NUM_BONES), 0
 
     def _inputs(self, signals: DeviceSignals) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Signals in the order of ``DEVICES``, with a batch of one, and which IMUs there are."""
+        """Signals in the order of ``DEVICES`` with a batch of one, and the present IMUs."""
         frames, worn, at = len(signals.position), self._worn, self._columns
         rotation = np.broadcast_to(np.eye(3, dtype=np.float32), (frames, len(DEVICES), 3, 3)).copy()
         rotation[:, worn] = rot.quat_to_matrix(signals.quat[:, at])
@@ -122,7 +122,7 @@ class RecurrentPoser(KinematicSystem):
     def _next(self, signals: DeviceSignals) -> Poses:
         position, rotation, acceleration, seen = self._inputs(signals)
         now = (position, rotation, acceleration)
-        # The frame before, so that velocities have something to start from.
+        # Repeat the first frame, so that velocities are defined.
         first = (position[:, :1], rotation[:, :1], acceleration[:, :1])
         before = self._before if self._before is not None else first
         joined = [torch.cat(pair, dim=1) for pair in zip(before, now, strict=True)]
@@ -135,25 +135,26 @@ class RecurrentPoser(KinematicSystem):
         return self._poses(six[0], total / count[:, None], heading[0, 1:], position[0, :, 0])
 
     def _poses(self, six: Tensor, shape: Tensor, heading: Tensor, head: Tensor) -> Poses:
-        """Poses ``T`` whose head joint is where it was measured, of the mean body so far."""
+        """Poses ``T`` on the mean estimated body so far, with the head at its measured position."""
         offsets = self.module.bones(shape)
         root, quat = assembled(six.numpy(), heading.numpy(), head.numpy(), offsets.numpy())
         return Poses(root, quat, offsets.double().numpy())
 
     @torch.no_grad()
     def predict_windows(self, sequence: SensorSequence, body: UserBody, frames: int) -> Poses:
-        """Each frame from the ``frames`` up to it alone, states from zero (LGSIK-Poser's protocol).
+        """Estimate each frame from its last ``frames`` frames alone, with LSTM states from zero.
 
-        Shape numbers are means over the window. Windows of the first frames are short.
+        This is LGSIK-Poser's online protocol. Shape values are means over the window. The first
+        windows are shorter.
 
         Args:
             sequence: as in ``predict``, without gaps.
-            body: the user's.
-            frames: of a window.
+            body: the user's body.
+            frames: frames per window.
         """
         signals = self._all_signals(sequence, body)
         first = DeviceSignals(*(array[:frames] for array in vars(signals).values()))
-        # Windows that begin with the sequence are what a stream has seen by then.
+        # For windows that start with the sequence, the result equals that of the stream.
         parts = [self._next(first)]
         position, rotation, acceleration, seen = self._inputs(signals)
         for begin in range(1, len(sequence) - frames + 1, WINDOWS_AT_ONCE):
@@ -171,7 +172,7 @@ class RecurrentPoser(KinematicSystem):
         return Poses.joined(parts)
 
     def predict(self, sequence: SensorSequence, body: UserBody) -> Poses:
-        """As ``KinematicSystem.predict``, all frames at once where the stream has no gap."""
+        """Like ``KinematicSystem.predict``; all frames at once if the stream has no gap."""
         gaps = np.diff(sequence.time_s) * SENSOR_FPS
         if len(sequence) < 2 or abs(gaps - 1.0).max() > 0.5 or not sequence.present.all():
             return super().predict(sequence, body)
@@ -179,7 +180,7 @@ class RecurrentPoser(KinematicSystem):
         return poses if poses.finite() else super().predict(sequence, body)
 
     def _all_signals(self, sequence: SensorSequence, body: UserBody) -> DeviceSignals:
-        """A stream begins: the signals of all its frames, checked as ``step`` does."""
+        """Start a stream and return the signals of all its frames, with the checks of ``step``."""
         self.reset(body, sequence.names)
         frames = []
         for t in range(len(sequence)):
@@ -194,7 +195,7 @@ class RecurrentPoser(KinematicSystem):
 
 
 def _compile() -> None:
-    """Compile what a stream runs before it begins: some seconds once, then kept on disk."""
+    """Compile the stream's functions in advance: takes seconds once, then cached on disk."""
     with torch.no_grad():
         linear(torch.zeros(1, 1), torch.zeros(1, 1), torch.zeros(1))
     place, turn = torch.zeros(1, 1, 3, 3), torch.eye(3).expand(1, 1, len(DEVICES), 3, 3)
@@ -207,7 +208,7 @@ def _compile() -> None:
 
 
 def training_inputs(windows: Windows, seen: Tensor) -> tuple[Tensor, Tensor, Windows]:
-    """Features ``(B, T, 135)``, headings and targets of windows that are ``HISTORY`` longer."""
+    """Features ``(B, T, 135)``, headings and targets, from windows ``HISTORY`` frames longer."""
     at = list(SENSOR_JOINTS)
     rotation = windows.world[:, :, at]
     place = windows.position[:, :, at]
@@ -240,7 +241,7 @@ def losses(
     HMD-Poser, L1: root 1, local 5, global 1, joints 1, acceleration 0.5 (of 100 m/s^2), shape
     consistency 0.1. LGSIK-Poser, MSE: root 10, local 50, global 10, joints 1000, sparse joints
     (root, hands) 1000, shape 10, velocity 5 over lags of 1, 3 and 5 frames. LGSIK-Poser can be
-    trained by HMD-Poser's (``LgsikSpec.loss``).
+    used with HMD-Poser's loss (``LgsikSpec.loss``).
     """
     local = diff.six_d_to_matrix(six)
     offsets = module.bones(shape)
@@ -255,7 +256,7 @@ def losses(
     want_root = diff.matrix_to_six_d(want_world[:, :, 0])
     got_six = diff.matrix_to_six_d(local)
     turned = (heading[:, :, None] @ joints[..., None]).squeeze(-1)
-    # Paths in the world, without the head's own, which is given.
+    # Joint paths in the world, without the head's path, which is given.
     moved, want_moved = turned, from_head
     wander = (shape - shape.mean(dim=1, keepdim=True)).abs().mean()
     if isinstance(module.net, HmdPoserNet) or module.net.spec.loss == "hmdposer":
@@ -297,7 +298,7 @@ def losses(
 def make_task(
     module: nn.Module, stage: str, learning: Learning, bank: MotionBank, validation: int
 ) -> Task:
-    """The one stage ``network`` of HMD-Poser and LGSIK-Poser."""
+    """Create the task of ``network``, the only stage of HMD-Poser and LGSIK-Poser."""
     assert isinstance(module, RecurrentModule) and stage == "network"
     if not module.template.any():
         module.template.copy_(torch.as_tensor(bank.template))

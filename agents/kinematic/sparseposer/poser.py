@@ -1,11 +1,11 @@
-"""SparsePoser: a skeleton-aware autoencoder from six trackers to the whole pose, then learned IK.
+"""SparsePoser: a skeletal autoencoder from six trackers to a full pose, then learned IK.
 
 Source: Ponton, Yun et al., "SparsePoser: Real-time Full-body Motion Reconstruction from Sparse
-Data", ACM TOG 43(1), 2023. The `paper` preset has the parameters of the released code. Of these
-132,496 lie idle there, meant for static features in the dynamic encoder; here they take in the
-deepest static feature, which the released decoder does not use either. Different as well: a window
-is seen from the heading of its last frame, learned IK answers corrections of the generator's limbs,
-and the orientations that the trackers on pelvis, head and hands measure are passed on as they are.
+Data", ACM TOG 43(1), 2023. The `paper` preset has as many parameters as the released code, where
+132,496 of them are unused (static features in the dynamic encoder); here they read the deepest
+static feature, which the released decoder does not use. Other changes: windows are relative to the
+heading of their last frame, learned IK predicts corrections of the generator's limbs, and the
+measured orientations of pelvis, head and hands are passed on unchanged.
 """
 
 from __future__ import annotations
@@ -44,30 +44,30 @@ DEVICES: tuple[str, ...] = (
 ENDS: tuple[int, ...] = tuple(
     JOINTS.index(n) for n in ("root", "left_toe", "right_toe", "head", "left_wrist", "right_wrist")
 )
-"""The joints whose positions the devices tell ..."""
+"""Joints whose positions the devices measure ..."""
 TURNED: tuple[int, ...] = tuple(
     JOINTS.index(n)
     for n in ("root", "left_ankle", "right_ankle", "head", "left_wrist", "right_wrist")
 )
-"""... and those whose orientations: a tracker on the toes turns with the foot."""
+"""... and whose orientations they measure: a tracker on the toes rotates with the foot."""
 PASSED_ON = (3, 4, 5)
-"""Head and hands among these take the measured orientation, as the root does."""
+"""Head and hands take the measured orientation, like the root."""
 
 STATIC = (3, 6, 12, 24)
-"""Channels a joint of the static features at each level of the skeleton."""
+"""Channels per joint of the static features at each level of the skeleton."""
 
 
 @dataclass(frozen=True)
 class SparsePoserSpec:
-    """Sizes of the networks, and what they do without.
+    """Sizes of the networks, and switches of their parts.
 
     Attributes:
-        channels: of a joint: input, then after each convolution.
+        channels: per joint: input, then after each convolution.
         kernel: frames of a convolution.
         ik_hidden: units of both hidden layers of a limb's IK.
-        learned_ik: whether there is learned IK; else its stage is not trained.
-        skeletal: whether layers know the skeleton. Else every joint's weights reach every joint,
-            and pooling and unpooling are learned products of all channels with all.
+        learned_ik: whether there is learned IK; otherwise its stage is not trained.
+        skeletal: whether layers are masked by the skeleton. Otherwise all joints are connected, and
+            pooling and unpooling are learned dense layers over all channels.
     """
 
     channels: tuple[int, int, int, int] = (8, 16, 32, 64)
@@ -82,9 +82,9 @@ class Limb:
     """A chain that learned IK corrects.
 
     Attributes:
-        joints: its first three joints, whose dual quaternions are answered.
+        joints: its first three joints, whose dual quaternions are predicted.
         end: index of its end among ``ENDS``.
-        chain: the joints read: from the third one up to the root.
+        chain: the joints it reads, from the third one up to the root.
     """
 
     joints: tuple[int, int, int]
@@ -112,7 +112,7 @@ class Generator(nn.Module):
     """Static and dynamic encoder, and the decoder.
 
     Args:
-        spec: sizes.
+        spec: network sizes.
     """
 
     def __init__(self, spec: SparsePoserSpec) -> None:
@@ -142,7 +142,7 @@ class Generator(nn.Module):
             self._spreading(f"pool_{level}", pool_matrix(POOLINGS[level]), STATIC[level + 1])
 
     def _spreading(self, name: str, matrix: Tensor, channels: int) -> None:
-        """Prepare a pooling or unpooling of joints of so many channels."""
+        """Create pooling or unpooling for joints with the given number of channels."""
         if self.spec.skeletal:
             self.register_buffer(name, matrix, persistent=False)
         else:
@@ -154,7 +154,7 @@ class Generator(nn.Module):
         return self.mixing[name](x)
 
     def _static(self, offsets: Tensor) -> tuple[list[Tensor], Tensor]:
-        """Features of the offsets at 22, 14 and 9 joints, and of 6 joints and an empty slot."""
+        """Features of the offsets at 22, 14 and 9 joints, and at 6 joints with an empty slot."""
         told, x = [offsets], offsets
         for level, layer in enumerate(self.static):
             x = self._spread(f"pool_{level}", layer(x), STATIC[level + 1])
@@ -163,7 +163,7 @@ class Generator(nn.Module):
         return told[:3], nn.functional.pad(told[3], (0, STATIC[3]))
 
     def forward(self, sparse: Tensor, offsets: Tensor) -> Tensor:
-        """Normalised dual quaternions ``(B, 176, T)``, not yet of unit length.
+        """Normalised dual quaternions ``(B, 176, T)``, before scaling to unit length.
 
         Args:
             sparse: ``(B, 56, T)`` with T a multiple of 8.
@@ -187,7 +187,7 @@ class SparsePoserModule(nn.Module):
     """Generator, learned IK and the normalisers.
 
     Args:
-        spec: sizes.
+        spec: network sizes.
     """
 
     mean: Tensor
@@ -204,7 +204,7 @@ class SparsePoserModule(nn.Module):
         for name, limb in LIMBS.items() if spec.learned_ik else ():
             width = 9 + 8 * len(limb.chain) + 8
             last = nn.Linear(spec.ik_hidden, 24)
-            # It answers corrections, none at first.
+            # The network outputs corrections, initially zero.
             nn.init.zeros_(last.weight)
             nn.init.zeros_(last.bias)
             self.ik[name] = nn.Sequential(
@@ -222,11 +222,11 @@ class SparsePoserModule(nn.Module):
             self.register_buffer(buffer, value)
 
     def normal_offsets(self, offsets: Tensor) -> Tensor:
-        """``(B, 22, 3)`` of offsets in metres."""
+        """Normalise offsets in metres to ``(B, 22, 3)``."""
         return (offsets - self.offset_mean) / self.offset_std
 
     def sparse(self, position: Tensor, quat: Tensor) -> tuple[Tensor, Tensor]:
-        """What the generator reads of a window of trackers.
+        """Input of the generator for a window of trackers.
 
         Args:
             position: ``(B, T, 6, 3)`` world positions of the joints ``ENDS``.
@@ -249,20 +249,20 @@ class SparsePoserModule(nn.Module):
         return self.unit(self.generator(sparse, offsets.flatten(1)))
 
     def unit(self, out: Tensor) -> Tensor:
-        """Unit dual quaternions ``(B, T, 22, 8)`` of the generator's answers ``(B, 176, T)``."""
+        """Unit dual quaternions ``(B, T, 22, 8)`` from the generator's output ``(B, 176, T)``."""
         dual = out.transpose(1, 2).unflatten(-1, (NUM_JOINTS, 8))
         return diff.unit_dual_quat(dual * self.std + self.mean)
 
     def normal(self, dual: Tensor) -> Tensor:
-        """Dual quaternions ``(..., 22, 8)`` less their mean, over their deviation."""
+        """Normalise dual quaternions ``(..., 22, 8)`` by mean and deviation."""
         return (dual - self.mean) / self.std
 
     def solve(self, dual: Tensor, ends: Tensor, offsets: Tensor) -> Tensor:
-        """Dual quaternions ``(B, T, 22, 8)`` with the limbs as learned IK has them.
+        """Dual quaternions ``(B, T, 22, 8)`` with the limbs corrected by learned IK.
 
         Args:
-            dual: of the generator.
-            ends: ``(B, T, 6, 8)`` normalised, of the trackers.
+            dual: output of the generator.
+            ends: ``(B, T, 6, 8)`` normalised dual quaternions of the trackers.
             offsets: ``(B, 22, 3)`` normalised.
         """
         told, parts = self.normal(dual), list(dual.unbind(-2))
@@ -284,14 +284,15 @@ class SparsePoserModule(nn.Module):
 
 
 def window_heading(root: Tensor) -> Tensor:
-    """The turn about z ``(B, 3, 3)`` of the last frame of root orientations ``(B, T, 4)``."""
+    """Heading ``(B, 3, 3)``, about z, of the last of root orientations ``(B, T, 4)``."""
     return diff.heading_matrix(diff.quat_to_matrix(root[:, -1]))
 
 
 def root_space(position: Tensor, quat: Tensor) -> Tensor:
-    """Dual quaternions ``(B, T, J, 8)`` seen from joint 0; its own is its rotation alone.
+    """Dual quaternions ``(B, T, J, 8)`` relative to joint 0, which keeps only its rotation.
 
-    The root's rotation is seen from the heading of the window's last frame. Signs run on in time.
+    The root's rotation is relative to the heading of the window's last frame. Signs are continuous
+    in time.
 
     Args:
         position: ``(B, T, J, 3)`` in the world.
@@ -314,10 +315,10 @@ class SparsePoser(KinematicSystem):
     """SparsePoser on a stream of six trackers.
 
     Args:
-        module: trained.
+        module: a trained module.
         name: for messages.
-        future_frames: later frames that a pose waits for, 0 to 7.
-        learned_ik: whether the limbs are corrected.
+        future_frames: number of later frames that a pose needs, 0 to 7.
+        learned_ik: whether learned IK corrects the limbs.
     """
 
     devices = DEVICES
@@ -347,7 +348,7 @@ class SparsePoser(KinematicSystem):
         self._quat: Tensor | None = None
 
     def _remember(self, signals: DeviceSignals) -> tuple[Tensor, Tensor]:
-        """The last 64 frames of the trackers, the first one repeated where there are fewer."""
+        """The last 64 frames of the trackers; a shorter history is padded with its first frame."""
         position, quat = signals.position[0, self._columns], signals.quat[0, self._columns]
         feet = [1, 2]
         toes = self._body.offsets[[ENDS[i] for i in feet]]

@@ -16,25 +16,26 @@ from questsim import differentiable as diff
 from questsim.skeleton import NUM_JOINTS
 
 ROOT_WEIGHT, ROTATION_WEIGHT = 10.0, 10.0
-"""Of the root against other joints, and of ends' rotations against positions (released code)."""
+"""Weights of the root against other joints, and of ends' rotations against positions (released
+code)."""
 KEEP = "keep"
 WEIGHTS = {KEEP: 0.1}
-"""Of the limbs staying as the generator has them: the regularisation of the paper's loss of learned
-IK, lambda times the squared difference of joints' dual quaternions."""
+"""Weight of keeping the generator's limbs: the regularisation of learned IK in the paper, lambda
+times the squared difference of joints' dual quaternions."""
 NORMALISED_BY = 256
-"""Windows that the normalisers are measured on."""
+"""Number of windows from which normalisers are computed."""
 
 
 def _signals(windows: Windows) -> tuple[Tensor, Tensor, Tensor]:
-    """World positions and orientations of the trackers' joints, and all joints' orientations."""
+    """World positions and orientations of the tracked joints, and orientations of all joints."""
     turned = diff.matrix_to_quat(windows.world)
     return windows.position[:, :, list(ENDS)], turned[:, :, list(TURNED)], turned
 
 
 def measure_normalisers(module: SparsePoserModule, windows: Windows) -> None:
-    """Set means and deviations from windows; of a channel that never moves the deviation is 1e-3.
+    """Set means and deviations from windows; a constant channel gets a deviation of 1e-3.
 
-    The ends' channels are normalised by those of the joints they stand for.
+    The ends' channels are normalised by those of the corresponding joints.
     """
     _, _, turned = _signals(windows)
     dual = root_space(windows.position, turned).flatten(0, 1)
@@ -59,7 +60,7 @@ def ends_of(dual: Tensor, offsets: Tensor) -> tuple[Tensor, Tensor]:
 def make_task(
     module: nn.Module, stage: str, learning: Learning, bank: MotionBank, validation: int
 ) -> Task:
-    """Stage ``generator`` or ``ik``."""
+    """Create the task of stage ``generator`` or ``ik``."""
     assert isinstance(module, SparsePoserModule)
     if not module.std.any():
         measure_normalisers(module, bank.fixed(NORMALISED_BY))
@@ -84,7 +85,7 @@ _Loss = Callable[[Windows], tuple[Tensor, dict[str, float]]]
 
 
 def _prepared(module: SparsePoserModule, windows: Windows) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Channels, ends and normalised offsets to read, and the dual quaternions to answer."""
+    """Input channels, ends and normalised offsets, and the target dual quaternions."""
     position, turned, everything = _signals(windows)
     sparse, ends = module.sparse(position, turned)
     target = root_space(windows.position, everything)
@@ -92,7 +93,7 @@ def _prepared(module: SparsePoserModule, windows: Windows) -> tuple[Tensor, Tens
 
 
 def _error_cm(dual: Tensor, windows: Windows) -> float:
-    """Mean distance in cm of all joints, root on root, with the root's orientation given."""
+    """Mean joint distance in cm with roots aligned and the true orientation of the root."""
     turned = diff.quat_to_matrix(dual[..., :4].detach())
     root = windows.world[:, :, :1]
     world = torch.cat([root, root @ turned[:, :, 1:]], dim=2)
