@@ -21,14 +21,14 @@ class AgentsArgs:
     """List every agent and preset."""
 
     json: bool = False
-    """As JSON, for programs."""
+    """Print JSON, for programs."""
 
 
 def catalogue() -> list[dict[str, Any]]:
-    """One entry an agent and preset, with ``KEYS``.
+    """One entry per agent and preset, with ``KEYS``.
 
-    ``parameters`` are those that training changes; ``licence`` is that of the weights, or of the
-    code where there are none; ``weights`` says whether they are shipped.
+    ``parameters`` counts trainable parameters; ``licence`` is that of the weights, or of the code
+    if there are no weights; ``weights`` says whether weights are shipped.
     """
     shipped = [
         (folder.parent, read_system_card(folder.parent))
@@ -69,7 +69,7 @@ def catalogue() -> list[dict[str, Any]]:
 
 
 def _with_physics(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """What can be run with the tracker behind it: systems that are there."""
+    """Kinematic systems that can run with the tracker behind them."""
     tracker = load_policy(SHIPPED / ESTIMATE_TRACKER)
     behind = sum(p.numel() for p in tracker.policy.parameters())
     licence = licence_of(tracker.card["training"])
@@ -106,7 +106,7 @@ def _policies() -> list[dict[str, Any]]:
 
 
 def list_agents(args: AgentsArgs) -> None:
-    """Print the catalogue, as a table or as JSON."""
+    """Print the catalogue as a table or as JSON."""
     entries = catalogue()
     if args.json:
         print(json.dumps(entries, indent=1))

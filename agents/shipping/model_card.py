@@ -16,7 +16,7 @@ from questsim.motion.datasets import DATASETS
 from questsim.sensors import sensor_set
 
 NOT_FIGURES = ("real_time_factor",)
-"""Entries of a report that a card omits: they describe the computer, not the policy."""
+"""Report entries omitted from a card: they describe the computer, not the policy."""
 
 LICENCE_TEXTS = {
     OURS: "The weights are under the MIT licence, as the code is.",
@@ -53,13 +53,13 @@ SPARSE_LIMITS = """\
 def model_card(
     name: str, agent: PolicyAgent, weights_bytes: int, metrics: Sequence[Mapping[str, Any]]
 ) -> str:
-    """The card of a policy, as Markdown.
+    """The model card of a policy, as Markdown.
 
     Args:
-        name: what it is shipped as.
-        agent: the policy; the ``training`` of its ``policy.yaml`` must hold what
-            ``provenance.provenance`` tells.
-        weights_bytes: size of the file of weights.
+        name: shipped name.
+        agent: the policy; the ``training`` of its ``policy.yaml`` must contain the result of
+            ``provenance.provenance``.
+        weights_bytes: size of the weights file.
         metrics: contents of the ``metrics.json`` of its evaluations.
     """
     training = agent.card["training"]
@@ -96,11 +96,11 @@ def card_text(
     """The layout of every card, as Markdown.
 
     Args:
-        name: what the weights are shipped as.
+        name: shipped name of the weights.
         purpose: one paragraph.
         facts: lines of a table.
-        training: with ``commands``, and what ``licence_lines`` reads.
-        figures: lines; none if it has not been evaluated.
+        training: with ``commands``, and the keys that ``licence_lines`` reads.
+        figures: lines; empty without an evaluation.
         use, limits: text of these sections.
     """
     lines = [
@@ -135,18 +135,18 @@ def card_text(
 
 
 def read_metrics(path: Path, training: Mapping[str, Any]) -> dict[str, Any]:
-    """The checked ``metrics.json`` of an evaluation of one policy.
+    """Read and check the ``metrics.json`` of an evaluation of one policy.
 
     Args:
         path: the file.
-        training: of the policy's ``policy.yaml``, as the evaluation recorded it.
+        training: the policy's ``training`` as recorded by the evaluation.
 
     Raises:
-        InputError: it is missing, no report of this version, or of another policy.
+        InputError: it is missing, not a report of this version, or of another policy.
     """
     metrics = read_report(path, SCHEMA, SCHEMA_VERSION, "an evaluation", "metrics.json")
     measured = metrics.get("context", {}).get("training") or {}
-    # A report of the shipped policy knows more of its training than the run's policy does.
+    # A report of the shipped policy has more training details than the run's policy.
     plain = json.loads(json.dumps(dict(training)))
     differing = [key for key, value in plain.items() if measured.get(key) != value]
     if differing:
@@ -160,16 +160,16 @@ def read_metrics(path: Path, training: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_report(path: Path, schema: str, version: int, of: str, usual_name: str) -> dict[str, Any]:
-    """A JSON report of one schema and version.
+    """Read a JSON report of a given schema and version.
 
     Args:
         path: the file.
-        schema, version: that it must have.
-        of: what it reports, for messages.
-        usual_name: of such a file, for messages.
+        schema, version: required values.
+        of: the subject of the report, for messages.
+        usual_name: usual name of such a file, for messages.
 
     Raises:
-        InputError: it is missing, no such report, or of another version.
+        InputError: it is missing, not such a report, or of another version.
     """
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
@@ -235,7 +235,7 @@ def _facts(agent: PolicyAgent, weights_bytes: int) -> list[str]:
 
 
 def time_text(minutes: float) -> str:
-    """Minutes, or hours where there are many."""
+    """Format a duration in minutes, or in hours if it is long."""
     return f"{minutes:.0f} min" if minutes < 120 else f"{minutes / 60:.1f} h"
 
 
@@ -248,7 +248,7 @@ def _data(training: Mapping[str, Any]) -> str:
 
 
 def _figures(metrics: Mapping[str, Any]) -> list[str]:
-    """One evaluation as a heading and two tables."""
+    """Format one evaluation as a heading and two tables."""
     context = metrics["context"]
     motions = (context.get("data") or {}).get("motions", "unnamed motions")
     heights = (context.get("config") or {}).get("heights")
@@ -281,7 +281,7 @@ def _cell(key: str, value: float | None) -> str:
 
 
 def licence_lines(training: Mapping[str, Any]) -> list[str]:
-    """The licence in words, and credit to the motions of all stages."""
+    """The licence in words, and credits for the motions of all stages."""
     licence = training["licence"]
     lines = [LICENCE_TEXTS.get(licence, f"The weights are under {licence}.")]
     motions = " ".join(stage["motions"] for stage in training["stages"])

@@ -1,4 +1,4 @@
-"""Provenance of a policy: the runs and stages behind it, their time and their data."""
+"""Provenance of a policy: its runs and stages, with their time and data."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from questsim.errors import InputError
 from questsim.motion.naming import split_parts
 
 STAGES = ("teacher", "student", "finetune")
-"""In the order in which they build on each other; the paper's ``ppo`` stands alone."""
+"""In the order in which they build on each other; the paper's ``ppo`` is independent."""
 
 RECORDED = ("stage", "steps", "minutes", "motions", "licences", "seed", "clips", "seconds")
-"""What the ``training`` of a policy must tell, as every training writes it."""
+"""Required keys of a policy's ``training``, which every training writes."""
 
 NOT_REPEATED = ("out", "stage", "minutes", "steps", "resume", "teacher", "start", "threads")
-"""Options that a command line here has of its own, or that have no effect on what is learnt."""
+"""Options that the printed commands set themselves, or that do not affect learning."""
 
 
 @dataclass(frozen=True)
 class StagePart:
-    """One stage behind a policy.
+    """One training stage of a policy.
 
     Attributes:
-        run: the run folder; of a shipped policy, its folder.
-        training: of the policy that came out of it.
-        steps, minutes: spent in all; its best policy may have come earlier.
-        command: what trained it, where no run tells.
+        run: the run folder, or the folder of a shipped policy.
+        training: ``training`` of the stage's policy.
+        steps, minutes: totals of the stage; its best policy may be earlier.
+        command: the training command, if there is no run to derive it from.
     """
 
     run: Path
@@ -45,19 +45,19 @@ class StagePart:
 
 
 def provenance(folder: Path) -> dict[str, Any]:
-    """What a model card tells of the training of a run's policy.
+    """Training information for a model card of a run's policy.
 
     Args:
-        folder: the policy's, inside its run.
+        folder: the policy's folder, inside its run.
 
     Returns:
-        ``commands``, one a stage; ``stages``, each with ``stage``, ``steps``, ``minutes`` and
-        ``motions``, the policy's own last; ``ground`` it learnt on, ``flat`` if none is named,
-        and whether it was ``pushed``; ``licence`` of the weights, from the motions of all
-        stages; ``versions`` of the packages.
+        ``commands``, one per stage; ``stages``, each with ``stage``, ``steps``, ``minutes`` and
+        ``motions``, the policy's own last; ``ground`` of the training, ``flat`` by default;
+        whether it was ``pushed``; ``licence`` of the weights, from the motions of all stages;
+        ``versions`` of the packages.
 
     Raises:
-        InputError: the policy is not inside a run, or what came before it is gone.
+        InputError: the policy is not inside a run, or an earlier stage is missing.
     """
     parts = stages_behind(folder)
     return {
@@ -81,13 +81,13 @@ def provenance(folder: Path) -> dict[str, Any]:
 
 
 def portable(motions: str) -> str:
-    """A motion argument with files called by name, in ``runs/``, wherever they were."""
+    """A motion argument in which absolute file paths become ``runs/`` and the file's name."""
     parts = split_parts(motions)
     return ",".join(f"runs/{Path(p).name}" if Path(p).is_absolute() else p for p in parts)
 
 
 def stages_behind(folder: Path) -> list[StagePart]:
-    """The stages that led to a policy, its own last.
+    """The stages of a policy's training, its own last.
 
     Raises:
         InputError: see ``provenance``.
@@ -96,7 +96,7 @@ def stages_behind(folder: Path) -> list[StagePart]:
 
 
 def _stages(folder: Path, training: dict[str, Any]) -> list[StagePart]:
-    """As ``stages_behind``, of a policy that was so described."""
+    """Like ``stages_behind``, for a policy with this description."""
     if "stages" in training:
         return _shipped_stages(folder, training)
     run = run_of(folder)
@@ -125,7 +125,7 @@ def _stages(folder: Path, training: dict[str, Any]) -> list[StagePart]:
 def _origin(
     record: Mapping[str, Any], stage: str, option: str
 ) -> tuple[Path, dict[str, Any]] | None:
-    """The policy that an option of a run named, and how it was described then."""
+    """The policy named by an option of a run, and its description at that time."""
     entry = _entry_with(record, stage, option)
     if entry is None:
         return None
@@ -136,19 +136,19 @@ def _origin(
 
 
 def recorded_option(record: Mapping[str, Any], stage: str, option: str) -> Any:
-    """What an option of a run was when ``stage`` was begun.
+    """The value of an option when ``stage`` of a run was started.
 
     Args:
-        record: of the run, with what it was resumed with.
-        stage: a stage; ``--stage all`` begins with the teacher.
-        option: ``start``, which counts only for the first stage of a command, or ``teacher``.
+        record: the run's record, including its resumes.
+        stage: the stage; ``--stage all`` starts with the teacher.
+        option: ``start``, which applies only to a command's first stage, or ``teacher``.
     """
     entry = _entry_with(record, stage, option)
     return None if entry is None else entry["args"][option]
 
 
 def _entry_with(record: Mapping[str, Any], stage: str, option: str) -> Mapping[str, Any] | None:
-    """The part of a record, begun or resumed, that has an option for a stage."""
+    """The part of a record, initial or resumed, that has an option for a stage."""
     for entry in (record, *record.get("resumed", ())):
         args = entry["args"]
         mine = (stage, "all") if stage == "teacher" or option == "teacher" else (stage,)
@@ -158,9 +158,9 @@ def _entry_with(record: Mapping[str, Any], stage: str, option: str) -> Mapping[s
 
 
 def _shipped_stages(folder: Path, training: dict[str, Any]) -> list[StagePart]:
-    """What a shipped policy's description tells of the stages behind it.
+    """The earlier stages recorded in a shipped policy's description.
 
-    Its own run folder is called after it, since another run will be the ``runs/NAME`` of the card.
+    Its run folder gets the policy's name, since ``runs/NAME`` of the card is another run.
     """
     names = {"runs/NAME": f"runs/{folder.name}", "runs/TEACHER": f"runs/{folder.name}-teacher"}
     return [
@@ -176,10 +176,10 @@ def _shipped_stages(folder: Path, training: dict[str, Any]) -> list[StagePart]:
 
 
 def _joined(parts: list[StagePart], more: Sequence[StagePart]) -> list[StagePart]:
-    """``parts`` and what ``more`` adds: two ways may lead to the same teacher.
+    """``parts`` extended by ``more``, without duplicates: both may include the same teacher.
 
-    Two shipped policies tell of their common teacher each under its own run's name; the first
-    name is kept.
+    Two shipped policies may record their common teacher under different run names; the first name
+    is kept.
     """
     parts, names = list(parts), dict[str, str]()
     for part in more:
@@ -193,7 +193,7 @@ def _joined(parts: list[StagePart], more: Sequence[StagePart]) -> list[StagePart
 
 
 def _is_same(a: StagePart, b: StagePart) -> bool:
-    """Whether two descriptions are of one training."""
+    """Whether two descriptions refer to the same training."""
     if (a.command is None) != (b.command is None):
         return False
     if a.command is None and a.run != b.run:
@@ -214,10 +214,10 @@ def _out(command: str) -> str:
 
 
 def run_of(folder: Path) -> Path:
-    """The run that a policy folder is in.
+    """The run folder that contains a policy folder.
 
     Raises:
-        InputError: it is in none.
+        InputError: it is not inside a run.
     """
     for parent in folder.absolute().parents:
         if (parent / RECORD).exists():
@@ -234,10 +234,10 @@ def _training(folder: Path) -> dict[str, Any]:
 
 
 def commands(parts: Sequence[StagePart]) -> list[str]:
-    """The command lines that train alike, one a stage.
+    """Command lines that repeat the training, one per stage.
 
-    The run is called ``runs/NAME``, whatever its folder was; another run's teacher is in
-    ``runs/TEACHER``; that of a shipped policy has its name.
+    The run is called ``runs/NAME``, whatever its folder was; a teacher from another run is in
+    ``runs/TEACHER``; a shipped teacher keeps its name.
     """
     names, lines, begun = _run_names(parts), [], set()
     for part in parts:
@@ -259,7 +259,7 @@ def commands(parts: Sequence[StagePart]) -> list[str]:
 
 
 def _run_names(parts: Sequence[StagePart]) -> dict[Path, str]:
-    """What command lines call each run folder; shipped policies' lines have their names already."""
+    """Name of each run folder in command lines; lines of shipped policies already have theirs."""
     names = {parts[-1].run: "runs/NAME"}
     for part in reversed(parts):
         if part.command is not None:
@@ -277,7 +277,7 @@ def _run_name(
     names: Mapping[Path, str],
     parts: Sequence[StagePart],
 ) -> str:
-    """What command lines call the run of a policy, shipped or not."""
+    """Name of a policy's run in command lines, shipped or not."""
     if "stages" not in training:
         return names[run_of(folder)]
     own = _shipped_stages(folder, training)[-1]
@@ -285,11 +285,11 @@ def _run_name(
 
 
 def options_of(args: Mapping[str, Any], kind: type = TrainArgs) -> list[str]:
-    """The recorded options that are not the defaults, and always the preset and the motions.
+    """Recorded options that differ from the defaults; preset and motions are always included.
 
     Args:
-        args: as a run's record has them.
-        kind: the dataclass of options that they are of.
+        args: options as in a run's record.
+        kind: dataclass of these options.
     """
     words: list[str] = []
     for option in fields(kind):

@@ -1,4 +1,4 @@
-"""Copy trained weights to the shipped ones and write their card."""
+"""Copy trained weights to the shipped ones and write their model card."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from questsim.errors import InputError
 
 MODEL_CARD = "README.md"
 MAX_BYTES = 10_000_000
-"""A shipped file is smaller than this: weights travel with the source."""
+"""Upper limit of a shipped file's size: weights are part of the source repository."""
 
 RESERVED = (*BASELINES, *UNTRAINED)
-"""Names of agents that need no weights."""
+"""Names of agents without weights."""
 
 
 @dataclass(frozen=True)
@@ -41,20 +41,20 @@ class ShipArgs:
     run: Path
     """A run folder, a stage of it, or a checkpoint folder inside it."""
     name: str
-    """Its shipped name, e.g. for evaluate --agent NAME."""
+    """Shipped name, e.g. for evaluate --agent NAME."""
     metrics: tuple[Path, ...] = ()
-    """Reports of its evaluations, in the order of the card: metrics.json of a policy,
-    comparison.json of a kinematic system."""
+    """Evaluation reports in the order of the card: metrics.json of a policy, comparison.json of a
+    kinematic system."""
     into: Path = SHIPPED
     """Folder of the shipped policies."""
 
 
 def ship(args: ShipArgs) -> int:
-    """Copy weights with their card, in place of older ones of that name; returns the exit code.
+    """Copy weights and card, replacing older ones of that name; returns the exit code.
 
     Raises:
-        InputError: there are none, their data or licence is not known, they are too large, or
-            a report is of others.
+        InputError: there are no weights, their data or licence is unknown, they are too large, or
+            a report belongs to other weights.
     """
     check_name(args.name)
     found = resolve(args.run)
@@ -104,10 +104,10 @@ def _checked_licence(training: dict[str, Any], source: Path) -> str:
 
 
 def check_name(name: str) -> None:
-    """Refuse what cannot be a folder and an agent's name.
+    """Check that a name is valid both as a folder's and as an agent's name.
 
     Raises:
-        InputError: saying what a name is.
+        InputError: the name is not valid; the message says what a name is.
     """
     if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name) or name in RESERVED:
         raise InputError(
@@ -122,7 +122,7 @@ def _write(
     description: tuple[str, dict[str, Any]],
     card: str,
 ) -> None:
-    """Write the folder whole beside an older one, then take its place."""
+    """Write the folder beside the older one, then replace the older one."""
     folder = args.into / args.name
     fresh = folder.with_name(f".{folder.name}.new")
     shutil.rmtree(fresh, ignore_errors=True)

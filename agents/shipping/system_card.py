@@ -1,4 +1,4 @@
-"""Shipping a kinematic system: its weights, its description and a card, as policies have one."""
+"""Shipping a kinematic system: weights, description and card, like those of a policy."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SHOWN: tuple[str, ...] = (
     "mpjre_deg", "mpjpe_cm", "mpjve_cm_s", "jitter_100_m_s3", "h_pe_cm", "l_pe_cm", "pos_cm",
     "rot_deg", "ee_cm", "foot_skate_cm_s", "floating_cm", "root_force_bw",
 )  # fmt: skip
-"""Figures of a comparison that a card has."""
+"""Figures of a comparison that a card includes."""
 
 USE = """\
 To estimate a user's whole pose, one frame after the other, from the devices named above: for
@@ -42,16 +42,16 @@ LIMITS = """\
 
 
 def system_provenance(folder: Path) -> dict[str, Any]:
-    """What a card tells of a system's training; the same keys as ``provenance.provenance``.
+    """Training information for a system's card; same keys as ``provenance.provenance``.
 
-    Commands and stages of a system that it started from come first, and the licence is the
-    strictest of all motions.
+    Commands and stages of the system that it started from come first. The licence is the strictest
+    of all motions.
 
     Args:
-        folder: the checkpoint's, inside its run.
+        folder: the checkpoint's folder, inside its run.
 
     Raises:
-        InputError: it is not inside a run, or what it started from is gone.
+        InputError: it is not inside a run, or the system it started from is missing.
     """
     run = run_of(folder)
     record = read_run(run)
@@ -87,12 +87,12 @@ def _start_provenance(start: str, shipped: dict[str, Any] | None) -> tuple[dict[
     """Commands, stages and licences of the system a training started from, and its run's name.
 
     Args:
-        start: what ``--start`` named.
-        shipped: how that was trained, if it was a shipped system; another version may have the
-            name by now.
+        start: value of ``--start``.
+        shipped: training record of that system if it was a shipped one; the name may refer to
+            another version by now.
 
     Raises:
-        InputError: it is gone.
+        InputError: the system is missing.
     """
     told, called = shipped, f"runs/{Path(start).name}"
     if told is None:
@@ -117,10 +117,10 @@ def system_card(
     """The card of a system, as Markdown.
 
     Args:
-        name: what it is shipped as.
-        folder: of its checkpoint.
-        training: of its description, with what ``system_provenance`` tells.
-        weights_bytes: size of the file of weights.
+        name: shipped name.
+        folder: folder of its checkpoint.
+        training: ``training`` of its description, with the result of ``system_provenance``.
+        weights_bytes: size of the weights file.
         figures: lines of ``comparison_lines``.
     """
     card, system = read_system_card(folder), load_system(folder)
@@ -159,10 +159,10 @@ def comparison_lines(path: Path, training: Mapping[str, Any]) -> list[str]:
 
     Args:
         path: the file.
-        training: of the system's description, as the comparison recorded it.
+        training: the system's ``training`` as recorded by the comparison.
 
     Raises:
-        InputError: it is missing, no comparison of this version, or not of this system.
+        InputError: it is missing, not a comparison of this version, or not of this system.
     """
     report = read_report(path, SCHEMA, SCHEMA_VERSION, "a comparison", "comparison.json")
     plain = json.loads(json.dumps(dict(training)))

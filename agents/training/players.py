@@ -1,4 +1,4 @@
-"""Playing a batch of avatars for some steps: a learner learns from what comes of it."""
+"""Players step a batch of avatars and collect the rollouts that learners train on."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from agents.training.buffers import TensorRolloutBuffer
 from agents.training.workers import Workers
 
 Truncated = list[tuple[int, int, np.ndarray]]
-"""Step, environment and last observation of each episode that ran out of reference."""
+"""Step, environment and last observation of each episode truncated at the end of its reference."""
 AfterStep = Callable[[np.ndarray, np.ndarray, list[dict[str, Any]]], bool]
-"""Called after each step with rewards ``(n,)``, dones ``(n,)`` and infos; False ends it all."""
+"""Called after each step with rewards ``(n,)``, dones ``(n,)`` and infos; False stops it."""
 
 
 class _Player:
-    """The batch that is played, the random numbers, and where the last rollout ended.
+    """Base of the players: the batch, the random generator and the last observation.
 
     Args:
         env: a stable-baselines3 VecEnv.
-        seed: of the random numbers.
+        seed: seed of the random numbers.
         workers: threads of the networks.
     """
 
@@ -36,22 +36,22 @@ class _Player:
         self.observation: np.ndarray | None = None
 
     def get_state(self) -> dict[str, Any]:
-        """The state of the random numbers; the environment keeps its episodes itself."""
+        """The random generator's state; the environment saves its episodes."""
         return {"generator": self.generator.get_state()}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Take up what ``get_state`` gave; the environment's restored episodes go on."""
+        """Restore a state from ``get_state``; the environment's restored episodes continue."""
         if "generator" in state:  # a training with workers has it elsewhere
             self.generator.set_state(state["generator"])
         self.observation = None
 
 
 class PolicyPlayer(_Player):
-    """Lets a policy act with its exploration noise, and keeps what happened.
+    """Plays a policy with exploration noise and stores the rollout.
 
     Args:
         env: a stable-baselines3 VecEnv of ``n`` avatars.
-        seed: of the noise.
+        seed: seed of the noise.
         workers: threads of the networks.
     """
 
@@ -61,12 +61,12 @@ class PolicyPlayer(_Player):
         """Fill a buffer's observations, actions, means, rewards and dones.
 
         Args:
-            policy: acts.
-            buffer: of ``T`` steps.
+            policy: the acting policy.
+            buffer: a buffer of ``T`` steps.
             after: called after each step.
 
         Returns:
-            Episodes that were cut off, or None if ``after`` ended the rollout.
+            Truncated episodes, or None if ``after`` stopped the rollout.
         """
         if self.observation is None:
             self.observation = np.asarray(self.env.reset())
@@ -91,13 +91,13 @@ class PolicyPlayer(_Player):
 
 
 class StudentPlayer(_Player):
-    """Lets a student act, partly its teacher, and asks the teacher what it would have done.
+    """Plays a student, mixed with its teacher, and labels each state with the teacher's action.
 
     Args:
         env: VecEnv with the privileged observation; the student's part comes first.
         teacher, student: policies bound to ``env``.
         exploration: noise on the executed actions, as a share of the teacher's own noise.
-        seed: of noise and of who drives which avatar.
+        seed: seed of the noise and of the choice between teacher and student.
         workers: threads of the networks.
     """
 
@@ -116,11 +116,11 @@ class StudentPlayer(_Player):
         self.noise = teacher.log_std.detach().exp()
 
     def play(self, steps: int, teacher_share: float, after: AfterStep) -> tuple[Tensor, Tensor]:
-        """Sparse observations ``(steps * n, D)`` of visited states and the teacher's actions there.
+        """Sparse observations ``(steps * n, D)`` of visited states and the teacher's actions.
 
         Args:
-            steps: of every avatar.
-            teacher_share: chance that the teacher drives an avatar in this rollout.
+            steps: steps of each avatar.
+            teacher_share: probability that the teacher drives an avatar in this rollout.
             after: called after each step.
         """
         if self.observation is None:
@@ -129,7 +129,7 @@ class StudentPlayer(_Player):
         visited, labels = [], []
         for _ in range(steps):
             obs = torch.from_numpy(self.observation)
-            # The teacher sees what the user did, even where the student is shown an estimate.
+            # The teacher observes the true motion, even where the student observes an estimate.
             truth = torch.from_numpy(getattr(self.env, "true_observation", self.observation))
             label, own = self._workers.run(
                 partial(_mean, self.teacher, truth), partial(_mean, self.student, obs)
