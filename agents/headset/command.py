@@ -133,7 +133,7 @@ def _recorder(
 
     def write(frame: DeviceFrame) -> None:
         nonlocal last
-        if frame.time_s > last:  # a file's times go forward; another driver's clock may not
+        if frame.time_s > last:  # only files guarantee increasing times
             last = frame.time_s
             writer.write(frame)
 

@@ -187,7 +187,7 @@ class LiveServer:
             elif not allowance.take():
                 continue
             elif not drives:
-                faults += 1  # watchers have nothing to say
+                faults += 1  # watchers must not send messages
             else:
                 try:
                     self._obey(read_message(message.data))

@@ -115,7 +115,7 @@ class LiveSession:
         try:
             while (job := self._jobs.get()) is not None:
                 job()
-        except BaseException as error:  # shown by the server, which ends
+        except BaseException as error:  # the server reports it and stops
             self.failure = error
             self._publish({"type": "failure"})
 

@@ -52,7 +52,7 @@ class MotionBank:
     """All frames of the recordings at 60 fps, to draw windows from.
 
     Args:
-        motions: of any frame rate.
+        motions: recordings of any frame rate.
         length: frames per window; shorter motions are left out.
 
     Raises:

@@ -19,7 +19,7 @@ HEADS_ALIGNED: tuple[str, ...] = (
 )  # fmt: skip
 ROOTS_ALIGNED: tuple[str, ...] = ("pos_cm", "rot_deg", "vel_cm_s", "ee_cm", "jitter_100_m_s3")
 CPU = Learning(batch=32, window=42, warm_up=200, bfloat16=True)
-"""Small batches in bfloat16: for half an hour on one core, more steps help more than precision."""
+"""Small batches in bfloat16: in half an hour on one core, more steps help more than precision."""
 SMOKE = Learning(batch=8, evaluate_every=20, steps=60, learning_rate=2e-3)
 
 
@@ -29,7 +29,7 @@ class Entry:
 
     Attributes:
         title: full name.
-        sensors: names of the sets in ``questsim.sensors`` that it reads.
+        sensors: names of its sensor sets in ``questsim.sensors``.
         presets: ``paper``, ``cpu``, ``smoke``.
         build: creates an untrained module from a spec.
         task: see ``learning.TaskMaker``.

@@ -122,8 +122,8 @@ class KinematicSystem(ABC):
 
     Attributes:
         name: for messages and tables.
-        devices: every device it can read, in the order of its ``DeviceSignals``.
-        required: those it cannot do without.
+        devices: all devices it can use, in the order of its ``DeviceSignals``.
+        required: devices it needs.
         scenarios: its scenarios in a comparison.
         future_frames: number of later frames that a pose needs; ``step`` is late by this many.
     """

@@ -52,7 +52,7 @@ class Learning:
 
 
 STEP_AT = 0.75
-"""HMD-Poser's rate falls after 300 of 400 epochs."""
+"""HMD-Poser's learning rate falls after 300 of 400 epochs."""
 PATIENCE, GAIN = 5, 1e-4
 """LGSIK-Poser's rate falls after more than ``PATIENCE`` evaluations whose error is not lower by the
 share ``GAIN``."""
@@ -72,7 +72,7 @@ def rate_at(learning: Learning, progress: float, steps: int, errors: Sequence[fl
         errors: errors of all evaluations so far.
 
     Raises:
-        InputError: there is no such schedule.
+        InputError: unknown schedule.
     """
     if learning.schedule == "cosine":
         share = 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
@@ -105,10 +105,10 @@ class Config:
     """A preset of one kinematic agent.
 
     Attributes:
-        spec: sizes of its networks, and what it does at run time.
-        stages: in the order of training.
-        minutes: of a training, by default.
-        validation: fixed windows that checkpoints are compared by.
+        spec: sizes of its networks and run-time settings.
+        stages: settings by stage, in the order of training.
+        minutes: default time budget of a training.
+        validation: number of fixed windows for comparing checkpoints.
     """
 
     spec: Any

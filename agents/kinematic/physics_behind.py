@@ -44,7 +44,7 @@ def on_own_body(poses: Poses, motion: Motion) -> Motion:
     """Estimated poses on the user's measured bones, with the head at its estimated position.
 
     Args:
-        poses: of all frames of ``motion``; their body may be estimated.
+        poses: one per frame of ``motion``; their body may be estimated.
         motion: provides the bones and the name.
     """
     there, _ = poses.forward_kinematics()

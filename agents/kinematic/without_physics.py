@@ -27,7 +27,7 @@ def pose_rollout(poses: Poses, motion: Motion, seconds: float = 0.0) -> Rollout:
     """Estimated poses on the avatar as a rollout, without contact forces and falls.
 
     Args:
-        poses: of all frames of ``motion``.
+        poses: one per frame of ``motion``.
         motion: the user's motion.
         seconds: computing time of the estimate.
     """

@@ -158,7 +158,7 @@ def _entry_with(record: Mapping[str, Any], stage: str, option: str) -> Mapping[s
 
 
 def _shipped_stages(folder: Path, training: dict[str, Any]) -> list[StagePart]:
-    """The earlier stages recorded in a shipped policy's description.
+    """The stages recorded in a shipped policy's description, its own last.
 
     Its run folder gets the policy's name, since ``runs/NAME`` of the card is another run.
     """

@@ -121,7 +121,7 @@ class RolloutWorker:
     def learn_policy(self, policy: TorquePolicy) -> None:
         """Prepare for rollouts of a policy."""
         self._policy = policy
-        self.env.seed(self._seed)  # as stable-baselines3 does with an environment of its own
+        self.env.seed(self._seed)  # like stable-baselines3 with its own environment
         self._player = PolicyPlayer(self.env, self._seed, self._threads)
 
     def learn_student(
@@ -201,7 +201,7 @@ class RolloutWorker:
         self._sampler = {name: np.array(rates) for name, rates in state["sampler"].items()}
         if self._player is not None and state["noise"] is not None:
             self._player.generator.set_state(torch.as_tensor(np.array(state["noise"])))
-            self._player.observation = None  # the restored episodes go on
+            self._player.observation = None  # the restored episodes continue
 
 
 class _Kept:

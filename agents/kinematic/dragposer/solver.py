@@ -337,7 +337,7 @@ class DragPoser(KinematicSystem):
         self._coming = (self._latent, (answer * std[:LATENT] + mean[:LATENT]).numpy())
 
 
-# -- what a frame asks for -------------------------------------------------------------------
+# -- residuals of a frame ---------------------------------------------------------------------
 
 _Part = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Residuals, their derivatives (one more axis), and the square roots of their weights."""
