@@ -18,7 +18,7 @@ from questsim import differentiable as diff
 from questsim.skeleton import JOINT_PARENTS, NUM_JOINTS
 
 UNKNOWNS = LATENT + 6
-"""Unknowns: the latent, a translation of the root in metres and a rotation in radians."""
+"""Number of unknowns: the latent, a translation of the root in metres and a rotation in radians."""
 MOVE, TURN = slice(LATENT, LATENT + 3), slice(LATENT + 3, UNKNOWNS)
 _SLOPE = 0.2
 _PARENTS = np.array(JOINT_PARENTS)
@@ -132,7 +132,7 @@ class DragModel:
         own = left_matrix(decoded) @ half
         matrices, d_matrices = turning(np.concatenate([local, own[None], turn[None]]))
         whole, d_whole, back = matrices[-2], d_matrices[-2], matrices[-1]
-        # The root's own rotation is not relative to the root.
+        # In root space the rotation of the root itself is the identity.
         matrices[0], d_matrices[0] = np.eye(3), 0.0
         bones = (matrices[_PARENTS] @ offsets[:, :, None])[..., 0]
         joints = _ANCESTORS @ bones

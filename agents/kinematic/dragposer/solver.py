@@ -312,7 +312,7 @@ class DragPoser(KinematicSystem):
     # -- prediction ------------------------------------------------------------------------
 
     def _expected(self, latent: np.ndarray) -> np.ndarray:
-        """This frame's predicted latent, interpolated to the prediction, or the last one."""
+        """This frame's predicted latent, interpolated between predictions, or the last one."""
         if self._coming is None:
             return latent
         share = min(self._since + 1, TOKEN_EVERY) / TOKEN_EVERY

@@ -122,7 +122,7 @@ class RecurrentPoser(KinematicSystem):
     def _next(self, signals: DeviceSignals) -> Poses:
         position, rotation, acceleration, seen = self._inputs(signals)
         now = (position, rotation, acceleration)
-        # Repeat the first frame, so that velocities are defined.
+        # Prepend the previous frame for velocities; a stream's first frame is repeated.
         first = (position[:, :1], rotation[:, :1], acceleration[:, :1])
         before = self._before if self._before is not None else first
         joined = [torch.cat(pair, dim=1) for pair in zip(before, now, strict=True)]
@@ -241,7 +241,7 @@ def losses(
     HMD-Poser, L1: root 1, local 5, global 1, joints 1, acceleration 0.5 (of 100 m/s^2), shape
     consistency 0.1. LGSIK-Poser, MSE: root 10, local 50, global 10, joints 1000, sparse joints
     (root, hands) 1000, shape 10, velocity 5 over lags of 1, 3 and 5 frames. LGSIK-Poser can be
-    used with HMD-Poser's loss (``LgsikSpec.loss``).
+    trained with HMD-Poser's loss (``LgsikSpec.loss``).
     """
     local = diff.six_d_to_matrix(six)
     offsets = module.bones(shape)
