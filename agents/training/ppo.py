@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from copy import deepcopy
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 import torch
@@ -102,7 +102,7 @@ class AdaptivePPO(PPO):
         self._workers = Workers(threads)
         # Workers elsewhere bring a player of their own.
         player = getattr(env, "policy_player", partial(PolicyPlayer, env))
-        self.player: Player = player(self.seed or 0, self._workers)
+        self.player = cast(Player, player(self.seed or 0, self._workers))
 
     def collect_rollouts(  # type: ignore[override]
         self,
