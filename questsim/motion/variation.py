@@ -240,7 +240,7 @@ def _source(base: Clip, donor: Clip, recipe: Recipe) -> str:
 
 
 def both_licences(first: str, second: str) -> str:
-    """SPDX licence of a motion made of two others; unknown if one of theirs is not stated."""
+    """SPDX licence of a motion made of two others; empty if either is not stated."""
     if not first or not second:
         return ""
     parts = {part for licence in (first, second) for part in licence.split(" AND ")}

@@ -1,1 +1,1 @@
-"""Embedded motions, made from a few parameters."""
+"""Synthetic motion generated from a few parameters."""

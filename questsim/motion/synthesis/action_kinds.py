@@ -1,4 +1,4 @@
-"""The kinds of actions by name; which of them no training sees."""
+"""The kinds of actions by name, and which of them are held out from training."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ ACTIONS: dict[str, Callable[[np.ndarray, float, np.random.Generator], Action]] =
     "jump": steps_and_jumps.jump,
     "crouch-walk": steps_and_jumps.crouch_walk,
 }
-"""Kinds with random parameters, which the library of ``synthetic_clips`` is without."""
+"""Kinds with random parameters; they are not in the library of ``synthetic_clips``."""
 LEAST_ACTION_S = 4.0
-"""An action at 1.75 m needs at least so long."""
+"""Minimum duration in seconds of an action at 1.75 m."""
 
 HELD_OUT: tuple[str, ...] = ("guide", "lunge", "step-touch", "throw")
-"""Kinds that no training uses, so that validation asks for something new.
+"""Kinds held out from training, so that validation uses unseen motion.
 
-``synthetic:random`` has none of them, ``synthetic:held-out`` these alone.
+``synthetic:random`` contains none of them, ``synthetic:held-out`` only these.
 """

@@ -1,7 +1,7 @@
 """Actions with both feet on the floor: bows, picking up, pointing, dodging, punches, throws.
 
-Each draws its own parameters: how deep, how far, how often, which hand. Durations are those of
-unhurried people; punches and throws take about 0.3 s (see ``gestures``).
+Each draws its own parameters: depth, distance, repetitions, hand. Durations are those of
+unhurried movement; punches and throws take about 0.3 s (see ``gestures``).
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from questsim.motion.synthesis.pose import Arm
 from questsim.motion.synthesis.posture import REST_ABDUCTION, arm
 
 _LEAD_S = 0.4
-"""An action begins so long after its clip and ends so long before."""
+"""Seconds between the start of the clip and the action, and between its end and the clip's."""
 
 
 def events(
     seconds: float, rng: np.random.Generator, takes: tuple[float, float], gap: tuple[float, float]
 ) -> list[tuple[float, float]]:
-    """(begin, duration) of as many events as a clip has room for, one at least."""
+    """(begin, duration) of as many events as fit into a clip, at least one."""
     found, at = [], _LEAD_S + rng.uniform(0.0, 0.4)
     while True:
         lasts = rng.uniform(*takes)
@@ -32,7 +32,7 @@ def events(
 
 
 def pulse(time: np.ndarray, begin: float, lasts: float, ease: float) -> np.ndarray:
-    """``(T,)`` 0 to 1 within ``ease`` seconds, held, and back at ``begin + lasts``."""
+    """``(T,)`` pulse: rises from 0 to 1 in ``ease`` seconds, holds, is 0 at ``begin + lasts``."""
     return smoothstep((time - begin) / ease) * smoothstep((begin + lasts - time) / ease)
 
 
@@ -41,7 +41,7 @@ def _empty(time: np.ndarray) -> np.ndarray:
 
 
 def _hanging(flexion: np.ndarray, side: int, elbow: float = 0.25, abduct: float = 0.0) -> Arm:
-    """An arm that hangs, ``flexion`` ``(T,)`` radians ahead of the chest's line."""
+    """A hanging arm, flexed ``(T,)`` radians forward from the chest's axis."""
     even = np.ones(len(flexion))
     return arm(flexion, (REST_ABDUCTION + abduct) * even, 0.2 * even, elbow * even, side)
 
@@ -69,9 +69,9 @@ def bow(time: np.ndarray, seconds: float, rng: np.random.Generator) -> Action:
 
 
 def pick_up(time: np.ndarray, seconds: float, rng: np.random.Generator) -> Action:
-    """Something is picked up from the floor with one hand or both, held, and put down again."""
+    """Picks something up from the floor with one or both hands, holds it and puts it down."""
     deep = rng.uniform(0.26, 0.40)
-    # Who bends the knees less bows more.
+    # With less bend in the knees the trunk bows more.
     pitch = np.deg2rad(rng.uniform(58.0, 66.0)) + 1.6 * (0.40 - deep)
     low, held = np.zeros(len(time)), np.zeros(len(time))
     for number, (begin, lasts) in enumerate(events(seconds, rng, (2.2, 3.0), (0.6, 1.2))):
@@ -94,12 +94,12 @@ def pick_up(time: np.ndarray, seconds: float, rng: np.random.Generator) -> Actio
             arms[side] = _hanging(0.3 * pitch * low, side)
     gesture = Gesture((arms[0], arms[1]), np.ones(len(time)), chest, head, deep * low)
     steps = stand(rng.uniform(0.2, 0.34), rng.uniform(-0.12, 0.12), len(time))
-    # The weight goes to the heels while the trunk is low: ankles bend so far only.
+    # The weight moves to the heels while the trunk is low, since ankle flexion is limited.
     return Action(steps, gesture, pressure=np.column_stack([-0.04 * low, 0.0 * low]))
 
 
 def guide(time: np.ndarray, seconds: float, rng: np.random.Generator) -> Action:
-    """A hand shows the way or points; trunk and head turn towards it."""
+    """A hand points or gestures in a direction; trunk and head turn towards it."""
     side = int(rng.random() < 0.5)
     out = 1.0 if side == 0 else -1.0
     azimuth, point = np.deg2rad(rng.uniform(-10.0, 85.0)), rng.random() < 0.5
@@ -122,7 +122,7 @@ def guide(time: np.ndarray, seconds: float, rng: np.random.Generator) -> Action:
 
 
 def duck(time: np.ndarray, seconds: float, rng: np.random.Generator) -> Action:
-    """Ducks below something, or dodges to a side, quickly."""
+    """Quickly ducks below something or dodges to a side."""
     low, aside = np.zeros(len(time)), np.zeros(len(time))
     for begin, lasts in events(seconds, rng, (0.9, 1.5), (0.2, 0.9)):
         share = pulse(time, begin, lasts, rng.uniform(0.38, 0.5))
@@ -142,7 +142,7 @@ def duck(time: np.ndarray, seconds: float, rng: np.random.Generator) -> Action:
         (arms[0], arms[1]), rng.uniform(0.5, 1.0) * ready, chest, head, deep * low + 0.03 * ready
     )
     width = rng.uniform(0.28, 0.42)
-    # Leaning to the right the weight goes to the right foot, too.
+    # When leaning to the right, the weight also moves to the right foot.
     pressure = np.column_stack([0.0 * aside, -0.28 * width * aside])
     return Action(stand(width, rng.uniform(-0.1, 0.1), len(time)), gesture, pressure=pressure)
 
@@ -240,7 +240,7 @@ def throw(time: np.ndarray, seconds: float, rng: np.random.Generator) -> Action:
 def _swung(
     time: np.ndarray, seconds: float, rng: np.random.Generator, takes: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How far it is wound up, and how far through the swing: ``(T,)`` 0 to 1 each."""
+    """Progress of the wind-up and of the swing, ``(T,)`` each, 0 to 1."""
     back, through = np.zeros(len(time)), np.zeros(len(time))
     for begin, lasts in events(seconds, rng, (2.2, 2.8), (0.2, 0.8)):
         own = pulse(time, begin, lasts, min(0.7, 0.35 * lasts))

@@ -27,13 +27,13 @@ from questsim.motion.synthesis.pose import (
 )
 
 _ROUNDS = 3
-"""The offset of the centre of mass from the root settles to below 1 mm in this many rounds."""
+"""Iterations after which the centre of mass's offset from the root is settled to below 1 mm."""
 
 
 def balanced_path(cop: np.ndarray, height: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """``(T, 2)`` path of a point mass at the heights ``(T,)`` over the pressures ``(T, 2)``.
+    """``(T, 2)`` path of a point mass at heights ``(T,)`` over centres of pressure ``(T, 2)``.
 
-    The ends stand above the pressure.
+    At both ends the mass is above the centre of pressure.
     """
     step = time[1] - time[0]
     support = (np.gradient(np.gradient(height, step), step) + GRAVITY).clip(0.0) / height * step**2
@@ -55,16 +55,16 @@ def settle(
     shown: slice = slice(None),
     moments: bool | None = None,
 ) -> np.ndarray:
-    """The poses ``(T, 40)`` whose centre of mass balances over the pressures.
+    """The poses ``(T, 40)`` whose centre of mass balances over the centres of pressure.
 
     Args:
         posture: the upper body.
         feet: where the feet are.
-        height: ``(T,)`` wished height of the root in metres; it is lowered where a leg is short.
+        height: ``(T,)`` desired height of the root in metres; lowered where a leg is too short.
         cop: ``(T, 2)`` centre of pressure.
         time: ``(T,)`` seconds.
-        jog: whether the height follows from flight and may be lowered only as a whole.
-        shown: the frames that will be kept.
+        jog: whether the height is ballistic and may only be lowered as a whole.
+        shown: the frames that are kept.
         moments: whether swinging limbs move the pressure; by default unless jogging.
     """
     moments = not jog if moments is None else moments
@@ -88,7 +88,7 @@ def settle(
 
 
 def _swing_moment(centers: np.ndarray, share: np.ndarray, step: float) -> np.ndarray:
-    """How far ``(T, 2)`` the links ``(T, 16, 3)`` move the pressure from a point mass's.
+    """Shift ``(T, 2)`` of the pressure by the links ``(T, 16, 3)``, relative to a point mass.
 
     The second stage of Kajita et al. 2003, eq. 16: legs that swing push the body back.
     """
@@ -107,14 +107,14 @@ def _swing_moment(centers: np.ndarray, share: np.ndarray, step: float) -> np.nda
 
 
 def lowering(excess: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """A smooth curve that is nowhere below the excess ``(T,)`` of height."""
+    """A smooth upper bound of the excess height ``(T,)``."""
     frames = 0.03 / (time[1] - time[0])
     wide = -minimum_filter1d(-excess.clip(0.0), 2 * int(np.ceil(3.0 * frames)) + 1)
     return gaussian_filter1d(wide, frames, truncate=3.0)
 
 
 def walking_height(gait: Gait, steps: Steps, standing: float) -> np.ndarray:
-    """Wished height ``(T,)`` of the root: highest in the middle of each single support."""
+    """Desired height ``(T,)`` of the root: highest in the middle of each single support."""
     wave = np.cos(4.0 * np.pi * (steps.phase - 0.5 * gait.duty))
     return standing - 0.004 * steps.amount + gait.bob_m * steps.amount * (wave - 1.0)
 

@@ -1,4 +1,4 @@
-"""The feet of a synthetic motion at every time: rolling on the floor, then swinging.
+"""The paths of the feet in a synthetic motion: rolling on the floor, then swinging.
 
 A foot on the floor rolls over its heel, lies flat, and rolls over its ball: the two round ends of
 the avatar's soles turn on the floor without sliding.
@@ -22,7 +22,7 @@ from questsim.skeleton import LINKS
 LEAVING_M_S = 0.15
 """Speed with which the ball leaves the floor, so that it does not brush along it."""
 FULL_STRIDE_M = 0.9
-"""A foot carried this far or farther swings with the full normative shape."""
+"""A foot that moves at least this far swings with the full normative shape."""
 BRAKING = 4.0
 """Deceleration at touch-down, in step lengths per squared swing time (min-jerk would be 0)."""
 HANG_S = 0.07
@@ -49,7 +49,7 @@ class Feet:
 
 @lru_cache(maxsize=1)
 def sole_shape() -> tuple[float, float, float, float]:
-    """Of the default body: heel's and ball's distance ahead of the ankle, height, radius."""
+    """Default body: heel's and ball's distance ahead of the ankle, height, radius; in metres."""
     points = sole_points()[0]
     radius = float(build_body().model.geom("left_heel_ball_outer").size[0])
     return (
@@ -62,7 +62,7 @@ def sole_shape() -> tuple[float, float, float, float]:
 
 @lru_cache(maxsize=1)
 def leg_lengths() -> tuple[float, float, float]:
-    """Thigh, shank and half the distance of the hips, of the default body in metres."""
+    """Lengths of thigh and shank and half the hip distance of the default body in metres."""
     offsets = link_offsets()
     return (
         float(-offsets[LINKS.index("left_shin"), 2]),
@@ -93,7 +93,7 @@ def feet_paths(steps: Steps, gait: Gait, time: np.ndarray) -> Feet:
 
 
 def _hold_ends(feet: Feet, stances: list[Stance], time: np.ndarray, foot: int) -> None:
-    """Before the first and after the last stance (in the cropped margin) the foot rests."""
+    """Holds the foot still before the first and after the last stance (in the cropped margin)."""
     for s, outside in (
         (stances[0], time < stances[0].touch),
         (stances[-1], time > stances[-1].lift),
@@ -117,7 +117,7 @@ def stance_pose(s: Stance, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def roll(pitch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ankle ahead of its flat place and above the floor, of a foot rolled to ``pitch``."""
+    """Ankle offset from its flat-foot position, forward and up, for a foot rolled to ``pitch``."""
     heel, ball, height, radius = sole_shape()
     pivot = np.where(pitch > 0, ball, heel)
     below = height - radius
@@ -137,7 +137,7 @@ def _swing(
     distance = float(np.linalg.norm(b.ankle - a.ankle))
     full = min(distance / FULL_STRIDE_M, 1.0)
     leave, arrive = _motion_at(a, a.lift, -_STEP), _motion_at(b, b.touch, _STEP)
-    # The foot comes down still moving, as people's do: it does not hover over its place.
+    # As in people, the foot still moves at touch-down; it does not hover above its target.
     stride = (b.ankle - a.ankle) / max(distance, 1e-6)
     arrive[1, :2] += gait.impact[0] * full * stride
     arrive[1, 2] -= gait.impact[1] * (0.5 + 0.5 * full)
@@ -157,7 +157,7 @@ def _swing(
 
 
 def _lowest(height: np.ndarray, pitch: np.ndarray) -> np.ndarray:
-    """Clearance of the sole: what a foot of that ankle height has below its lower end."""
+    """Clearance of the sole below the lower end of a foot with this ankle height."""
     return height - roll(pitch)[1]
 
 

@@ -1,7 +1,7 @@
-"""What the feet and the height do in actions that are neither walking nor standing.
+"""Feet and root height in actions that are neither walking nor standing.
 
-An action says when which foot goes where (``footfalls``); rolling, swinging and balance follow as
-they do for gaits.
+An action defines when each foot steps where (``footfalls``). Rolling, swinging and balance are
+computed as for gaits.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ HIP_M = 0.9275
 """Height of the default body's root standing straight."""
 STRAIGHT_M = HIP_M - 0.006
 _MOST_DORSIFLEXION = np.deg2rad(34.5)
-"""Ankles bend up to 35 degrees; deeper, heels leave the floor."""
+"""Ankles bend up to 35 degrees; in deeper crouches the heels leave the floor."""
 _MOST_POINTED = np.deg2rad(56.0)
 _HEEL_ROUNDS = 6
 _BALL_M = 0.125
-"""Where somebody whose heels are up stands, ahead of the flat foot's ankle."""
+"""Centre of pressure with raised heels, ahead of the flat foot's ankle."""
 _ANKLES = [7 + dof("left_ankle_y"), 7 + dof("right_ankle_y")]
 
 
@@ -64,12 +64,12 @@ class Action:
         gesture: of the upper body, and how far the pelvis sinks.
         shift_s: seconds in which the weight passes from foot to foot.
         heading: ``(T,)`` radians, or None: forward.
-        pressure: ``(T, 2)`` metres by which the centre of pressure is elsewhere.
+        pressure: ``(T, 2)`` offset of the centre of pressure in metres.
         change: changes the feet's paths in place.
-        height: ``(T,)`` of the root, if not that of somebody who stands and sinks.
+        height: ``(T,)`` of the root; None: standing height minus the gesture's crouch.
         flies: whether the height has flights.
-        on_balls: whether the pressure goes to the balls of the feet by itself.
-        gait: how feet swing.
+        on_balls: whether the pressure moves to the balls of the feet automatically.
+        gait: parameters of the swing.
     """
 
     steps: Steps
@@ -128,7 +128,7 @@ def _ankles_short(qpos: np.ndarray, time: np.ndarray) -> np.ndarray:
 def _over_the_balls(
     action: Action, gait: Gait, feet: Feet, lifted: np.ndarray, load: np.ndarray, time: np.ndarray
 ) -> np.ndarray:
-    """``(T, 2)`` metres by which the pressure goes ahead where heels leave the floor."""
+    """``(T, 2)`` forward shift of the pressure in metres while heels are off the floor."""
     out = np.zeros((len(time), 2))
     if action.on_balls or not lifted.any():
         return out
@@ -143,7 +143,7 @@ def _over_the_balls(
 
 
 def add_pitch(feet: Feet, foot: int, more: np.ndarray) -> None:
-    """Raise a heel by ``(T,)`` radians more; the foot rolls on over its ball, in place."""
+    """Raise a heel by another ``(T,)`` radians, rolling the foot over its ball; in place."""
     before, after = roll(feet.pitch[foot]), roll(feet.pitch[foot] + more)
     way = np.stack([np.cos(feet.yaw[foot]), np.sin(feet.yaw[foot])], axis=-1)
     feet.ankle[foot, :, :2] += (after[0] - before[0])[:, None] * way
@@ -161,7 +161,7 @@ def stand(width: float, stagger: float, frames: int, toe_out: float = 0.12) -> S
 def footfalls(
     start: Steps, falls: list[Footfall], frames: int, push_pitch: float = np.deg2rad(18.0)
 ) -> Steps:
-    """The steps of somebody who stands as at ``start`` and then steps.
+    """The steps of a person who stands as in ``start`` and then steps.
 
     Heels rise by ``push_pitch`` radians before a foot leaves.
     """
@@ -210,7 +210,7 @@ class Jump:
     LAND_S = 0.24
     RISE_S = 0.55
     EXTENSION_M = 0.045
-    """The root is so much above its place in standing as the balls of the feet leave."""
+    """Rise of the root above standing height when the balls of the feet leave the floor."""
 
     @property
     def begin(self) -> float:

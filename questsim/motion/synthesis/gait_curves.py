@@ -1,4 +1,4 @@
-"""What is published about how people walk and jog, as curves and relations.
+"""Published data on walking and jogging, as curves and relations.
 
 Joint angles over a stride are control points in degrees at percent of the stride (0 at the
 foot's own touch-down), joined by a periodic cubic spline. They are means of healthy adults,
@@ -8,8 +8,8 @@ rounded to whole degrees:
   1991, and Perry & Burnfield, "Gait Analysis", 2nd ed. 2010 (thigh against the vertical);
 * running at about 3.2 m/s: Novacheck, "The biomechanics of running", Gait & Posture 7, 1998.
 
-How they change with speed is expressed in the speed without dimension ``v / sqrt(g leg)`` (the
-root of the Froude number; Alexander 1989), so that people of all heights share one relation:
+Their dependence on speed uses the dimensionless speed ``v / sqrt(g leg)`` (the root of the
+Froude number; Alexander 1989), so that people of all heights share one relation:
 
 * step length grows with speed to the power 0.42: Grieve, "Gait patterns and the speed of
   walking", Biomedical Engineering 3, 1968 (earlier Grieve & Gear, Ergonomics 9, 1966);
@@ -89,7 +89,7 @@ class Gait:
             heel-rise until toe-off.
         lift: scale of the swing's normative rise of the foot.
         impact: speed in m/s, forward and down, with which the swinging foot meets the floor.
-        clearance_m: of the sole at least, in the middle of the swing (Winter 1992: 1-2 cm walking).
+        clearance_m: minimum of the sole in mid-swing (Winter 1992: 1-2 cm walking).
         bob_m: half the rise and fall of the pelvis (walking; jogging is ballistic).
         pelvis_turn, pelvis_list, chest_turn, lean: amplitudes and lean in radians.
         shoulder_mean, shoulder_swing, elbow_mean, elbow_swing, abduction: of the arms, radians.
@@ -120,7 +120,7 @@ class Gait:
 
 
 def froude_speed(speed: float, leg_m: float) -> float:
-    """Speed without dimension: ``v / sqrt(g leg)``."""
+    """Dimensionless speed ``v / sqrt(g leg)``."""
     return speed / float(np.sqrt(GRAVITY * leg_m))
 
 

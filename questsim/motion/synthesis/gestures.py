@@ -1,4 +1,4 @@
-"""What the arms, the trunk and the knees do in a gesture, on top of standing or walking.
+"""Motion of arms, trunk and knees in a gesture, added to standing or walking.
 
 The hands follow paths in the chest's frame, given as shares of the arm's length from the
 shoulder; two-bone inverse kinematics finds the arm. Timing and extent are those of unhurried
@@ -20,7 +20,7 @@ from questsim.motion.synthesis.pose import Arm
 from questsim.skeleton import LINKS
 
 DOWN_OUT = np.array([-0.25, 0.45, -1.0])
-"""Where an elbow points by itself: down, a little out and back (x, outward, z)."""
+"""Default direction of an elbow: down, a little out and back (x, outward, z)."""
 
 
 @dataclass
@@ -29,7 +29,7 @@ class Gesture:
 
     Attributes:
         arms: left and right; None leaves an arm to the gait.
-        weight: ``(T,)`` how much of the arms is the gesture's, 0 to 1.
+        weight: ``(T,)`` blend of the arms from the gait (0) to the gesture (1).
         chest, head: ``(T, 3)`` yaw, pitch, roll in radians, added to the trunk's.
         crouch: ``(T,)`` metres by which the pelvis sinks.
         width, stagger: of the standing feet in metres: apart, and left before right.
@@ -82,7 +82,7 @@ def reach(target: np.ndarray, side: int, elbow_to: np.ndarray = DOWN_OUT, turn: 
 
 
 def _hold(time: np.ndarray, seconds: float, ease: float = 0.9) -> np.ndarray:
-    """0 to 1 to 0 over a clip, at rest for a moment at both ends."""
+    """Weight from 0 to 1 to 0 over a clip, with a short rest at both ends."""
     return smoothstep((time - 0.3) / ease) * smoothstep((seconds - 0.3 - time) / ease)
 
 
@@ -135,7 +135,7 @@ def whiteboard(time: np.ndarray, seconds: float, rng: np.random.Generator) -> Ge
     weight = _hold(time, seconds)
     line = rng.uniform(2.4, 3.0)
     share = np.mod(time / line, 1.0)
-    # Four fifths of the time along a line, one fifth back to the next one.
+    # Four fifths of the time writes a line, one fifth moves back to the next one.
     along = np.where(share < 0.8, share / 0.8, 1.0 - smoothstep((share - 0.8) / 0.2))
     stroke = 2.0 * np.pi * rng.uniform(1.7, 2.1) * time
     writing = weight * np.clip(10.0 * np.minimum(share, 0.8 - share), 0.0, 1.0)
@@ -200,7 +200,7 @@ GESTURES: dict[str, Callable[[np.ndarray, float, np.random.Generator], Gesture]]
     "boxing": boxing,
     "squat": squat,
 }
-"""Kind of motion to the function that makes it."""
+"""Maps a kind of motion to the function that generates it."""
 
 WALKABLE = ("wave", "raise-both-hands", "raise-right-hand")
 """Gestures that people also make while walking."""

@@ -1,4 +1,4 @@
-"""Poses of embedded clips that were made before: in this process, and in the cache folder."""
+"""Cache of the poses of synthetic clips, in this process and in the cache folder."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from questsim.motion import kinematics
 
 
 def kept_poses(key: str, make: Callable[[], np.ndarray]) -> np.ndarray:
-    """Poses ``(T, 40)`` from the cache folder, or made and put there.
+    """Poses ``(T, 40)`` from the cache folder; generated and stored there if absent.
 
-    A cache that cannot be read or written is no error: the poses are made.
+    If the cache cannot be read or written, the poses are generated without an error.
 
     Args:
-        key: all that they depend on, beside this version's code.
-        make: makes them.
+        key: everything that they depend on besides this version's code.
+        make: generates them.
     """
     digest = hashlib.sha256(f"{_code_digest()} {key}".encode()).hexdigest()[:32]
     from questsim.motion.datasets import cache_dir  # late, for the download library it imports

@@ -1,4 +1,4 @@
-"""Where and when the feet of a synthetic motion stand: the path, the steps and their timing.
+"""Plans the path, the steps and their timing for a synthetic motion.
 
 Everything is for the default body, in metres and seconds; ``synthetic.py`` scales.
 """
@@ -18,7 +18,7 @@ COP_HEEL_M, COP_MID_M, COP_BALL_M = 0.04, 0.125, 0.145
 COP_STANDING_M = 0.05
 """The same when standing (Winter 1995, "Human balance and posture control")."""
 STANDING_WIDTH_M = 0.17
-"""Between the ankles of a person who stands before or after walking."""
+"""Distance in metres between the ankles when standing before or after walking."""
 LAST_STEP_M, LAST_TURN = 0.03, np.deg2rad(6.0)
 """A foot this close to where the path ends takes no further step."""
 
@@ -28,7 +28,7 @@ class Stance:
     """One foot on the floor from touch-down to toe-off.
 
     Attributes:
-        touch, lift: times in seconds; minus and plus infinity where the clip has no end.
+        touch, lift: times in seconds; minus or plus infinity if outside the clip.
         ankle: ``(2,)`` the ankle's place on the floor while the foot is flat.
         yaw: direction of the foot in radians.
         strike_pitch, push_pitch: of the foot at touch-down and toe-off, heel up is positive.
@@ -118,15 +118,15 @@ def plan_steps(
 ) -> Steps:
     """Footfalls along a path.
 
-    The ankle is set down beside the point of the path that the body passes in the middle of the
-    stance, so that turning, side steps and changes of speed need no rule of their own.
+    The ankle is placed beside the point of the path that the body passes in mid-stance, so that
+    turning, side steps and changes of speed need no separate rules.
 
     Args:
         path: the body's path; at rest before ``start`` and after ``stop``.
         gait: the gait at full speed.
         start: when the first foot leaves the floor, or None: walking from the beginning.
         stop: when the path ends, or None: walking to the end.
-        phase: where in the stride a clip that begins in mid-walk begins, 0 to 1.
+        phase: initial phase of the stride, 0 to 1, for a clip that begins in mid-walk.
         first: the foot that takes the first step, 0 left, 1 right.
     """
     strides = _phase(path, gait, start) + (phase if start is None else 0.5 * (first - 1))
@@ -187,7 +187,7 @@ def _swings(
 
 
 def _arrived(path: Path, touch: float, lift: float) -> bool:
-    """Whether a foot standing from touch to lift is where the path ends."""
+    """Whether a foot that stands from touch to lift is at the end of the path."""
     position, heading = path.at(max(0.5 * (touch + lift), path.time[0]))
     gap = np.linalg.norm(path.position[-1] - position)
     return bool(gap < LAST_STEP_M and abs(path.heading[-1] - heading) < LAST_TURN)
@@ -224,7 +224,7 @@ def _apart(path: Path, gait: Gait, touch: float, lift: float) -> float:
 
 
 def _forward_share(path: Path, time: float) -> float:
-    """Forward speed at a time against the clip's greatest; 0 where a clip stands."""
+    """Forward speed at a time over the clip's maximum; 0 if the clip only stands."""
     if np.isinf(time):
         return 0.0
     greatest = max(np.abs(path.velocity[:, 0]).max(), 0.3)

@@ -1,4 +1,4 @@
-"""Joint angles of the avatar from where its pelvis, feet, trunk and arms should be."""
+"""Joint angles of the avatar from targets of its pelvis, feet, trunk and arms."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from questsim.motion.synthesis.feet import Feet, leg_lengths
 from questsim.skeleton import DOFS
 
 FULL_STRETCH, JOGGING_STRETCH = 0.9985, 0.99
-"""A leg reaches at most this share of its length: nearer to straight, the knee would snap;
-joggers land on a bent knee."""
+"""Maximum extension of a leg as a share of its length. Beyond it the knee would snap; joggers land
+on a bent knee."""
 _SHOULDER_TURN = (-np.pi / 4, np.pi / 4)
 
 
@@ -70,7 +70,7 @@ def hips(root: np.ndarray, pelvis: Rotation) -> np.ndarray:
 
 
 def solve(posture: Posture, root: np.ndarray, feet: Feet) -> np.ndarray:
-    """The poses ``(T, 40)`` with the root at ``(T, 3)`` and the feet where they should be."""
+    """The poses ``(T, 40)`` with the root at ``(T, 3)`` and the feet at their targets."""
     pelvis = world(posture.heading, posture.pelvis)
     chest = world(posture.heading, posture.chest)
     head = world(posture.heading, posture.head)
@@ -80,7 +80,7 @@ def solve(posture: Posture, root: np.ndarray, feet: Feet) -> np.ndarray:
     angles = qpos[:, 7:]
     for foot, hip in enumerate(hips(root, pelvis)):
         angles[:, 6 * foot : 6 * foot + 6] = _leg(hip, pelvis, feet, foot)
-    # The trunk bends by equal parts below and above the waist.
+    # The trunk bends equally below and above the waist.
     half = Rotation.from_rotvec((pelvis.inv() * chest).as_rotvec() / 2.0).as_euler("YXZ")
     angles[:, dof("spine_y") : dof("spine_y") + 3] = half
     angles[:, dof("chest_y") : dof("chest_y") + 3] = half
@@ -105,7 +105,7 @@ def _leg(hip: np.ndarray, pelvis: Rotation, feet: Feet, foot: int) -> np.ndarray
     distance = np.minimum(np.linalg.norm(to_hip, axis=-1), (thigh + shank) * (1.0 - 1e-6))
     cos_knee = (distance**2 - thigh**2 - shank**2) / (2.0 * thigh * shank)
     knee = np.arccos(np.clip(cos_knee, -1.0, 1.0))
-    # The hip seen from the shank, which knows the knee only: up the shank, then the thigh.
+    # The hip in the shank's frame depends on the knee angle only: up the shank, then the thigh.
     x, z = -thigh * np.sin(knee), shank + thigh * np.cos(knee)
     # Side bend brings the hip into the shank's plane, the ankle's pitch turns it there.
     ankle_x = np.arctan2(to_hip[:, 1], to_hip[:, 2])
@@ -136,7 +136,7 @@ def upper_arm(angles: np.ndarray, side: int) -> np.ndarray:
 def highest_root(
     feet: Feet, root: np.ndarray, pelvis: Rotation, stretch: float = FULL_STRETCH
 ) -> np.ndarray:
-    """How high the root may be ``(T,)`` so that both legs reach their feet.
+    """Maximum root height ``(T,)`` at which both legs reach their feet.
 
     A leg may be stretched to the share ``stretch`` of its length.
     """
@@ -149,7 +149,7 @@ def highest_root(
 
 
 def link_centers(qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of the default body's links, centres of mass ``(T, 16, 3)`` and mass shares ``(16,)``."""
+    """Centres of mass ``(T, 16, 3)`` and mass shares ``(16,)`` of the default body's links."""
     model = build_body().model
     position, quat = link_poses(qpos, DEFAULT_HEIGHT_M)
     mass = model.body_mass[1:]

@@ -1,4 +1,4 @@
-"""The upper body of a synthetic motion: trunk, head and arm swing that go with the steps."""
+"""The upper body of a synthetic motion: trunk, head and arm swing in time with the steps."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _forward_share(path: Path) -> np.ndarray:
 
 
 def _bank(path: Path) -> np.ndarray:
-    """Lean of the trunk into a curve; the path of the mass over the feet does the rest."""
+    """Lean of the trunk into a curve, in addition to the balanced path of the centre of mass."""
     pull = path.velocity[:, 0] * path.turn_rate / 9.81
     frames = 0.15 / (path.time[1] - path.time[0])
     return gaussian_filter1d(-0.6 * np.arctan(pull), frames, mode="nearest")
@@ -96,7 +96,7 @@ def blend(a: Arm, b: Arm, weight: np.ndarray) -> Arm:
 
 
 def idle(time: np.ndarray, rng: np.random.Generator, looking: bool) -> Posture:
-    """Standing at ease; ``looking``: the head turns about and the trunk follows a little."""
+    """Standing at ease. With ``looking``, the head turns around and the trunk follows a little."""
     frames = len(time)
     size = 1.0 if looking else 0.15
     gaze = np.deg2rad(22.0) * size * drift(time, rng, 0.08, 0.25)
@@ -118,7 +118,7 @@ def idle(time: np.ndarray, rng: np.random.Generator, looking: bool) -> Posture:
 def sway(
     time: np.ndarray, rng: np.random.Generator, lateral_m: float, forward_m: float
 ) -> np.ndarray:
-    """Wander ``(T, 2)`` of the pressure under a standing person (Winter 1995)."""
+    """Sway ``(T, 2)`` of the centre of pressure under a standing person (Winter 1995)."""
     return np.column_stack(
         [forward_m * drift(time, rng, 0.1, 0.5), lateral_m * drift(time, rng, 0.06, 0.35)]
     )

@@ -1,7 +1,7 @@
-"""Embedded clips with random parameters: any number, of any seed, made one by one.
+"""Synthetic clips with random parameters, in any number, each generated independently.
 
-``random_clips`` is behind ``synthetic:random``, for training; ``held_out_clips`` behind
-``synthetic:held-out``, for validation by kinds that no training sees.
+``random_clips`` implements ``synthetic:random``, for training. ``held_out_clips`` implements
+``synthetic:held-out``, for validation on kinds that are not used in training.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from questsim.motion.synthesis.gestures import WALKABLE
 from questsim.motion.synthesis.synthetic import KINDS, SEATED, synthesise
 
 TRAINED: tuple[str, ...] = tuple(kind for kind in (*KINDS, *ACTIONS) if kind not in HELD_OUT)
-"""Kinds of ``random_clips``: every one that needs nothing but a floor and is not held out."""
+"""Kinds of ``random_clips``: all that need only a floor and are not held out."""
 HEIGHTS_M = (1.55, 1.6, 1.65, 1.7, 1.75, 1.8, 1.85, 1.9)
-"""A few statures, since each takes a body of its own; every other clip is of 1.75 m."""
+"""A few statures only, since each needs its own body; every second clip is of 1.75 m."""
 EACH = 4
-"""Clips of a kind when a kind is asked for by name."""
+"""Number of clips of a kind that is requested by name."""
 SECONDS = (5.0, 9.0)
 
 
 def random_clips(count: int, seed: int = 0, kinds: Sequence[str] = TRAINED) -> list[Clip]:
     """Clips with random kind, parameters, duration and stature.
 
-    Kinds come in turn, so that ``count`` clips have equally many of each. A clip depends on the
-    seed, its number and its kind alone.
+    Kinds alternate, so that ``count`` clips have equally many of each. A clip depends only on the
+    seed, its number and its kind.
 
     Args:
         count: how many.
@@ -53,7 +53,7 @@ def random_clips(count: int, seed: int = 0, kinds: Sequence[str] = TRAINED) -> l
 
 
 def held_out_clips(count: int, seed: int = 0) -> list[Clip]:
-    """As ``random_clips``, of the kinds in ``HELD_OUT``."""
+    """Like ``random_clips``, with the kinds in ``HELD_OUT``."""
     return random_clips(count, seed, HELD_OUT)
 
 
@@ -83,7 +83,7 @@ def _random(kind: str, seed: int, number: int) -> Clip:
 
 
 def _parameters(kind: str, pace: float, rng: np.random.Generator) -> dict[str, Any]:
-    """Random speed, turn, start and stop of a kind that travels; others draw their own."""
+    """Random speed, turn, start and stop for kinds that travel; other kinds draw their own."""
     start, stop = (bool(rng.random() < 0.5) for _ in range(2))
     if kind in ("walk", "backwards") or kind.startswith("side-"):
         low, high = {"walk": (0.5, 2.1), "backwards": (0.3, 1.1)}.get(kind, (0.2, 0.55))

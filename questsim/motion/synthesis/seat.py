@@ -2,8 +2,8 @@
 
 Until the seat bears it, the body balances over its feet as in any crouch (``synth_balance``): the
 trunk leans forward so that the hips can go back (Schenkman et al., "Whole-body movements during
-rising to standing from sitting", Physical Therapy 70, 1990). Where the balance brings the hips is
-where the seat is; on it the root rests and the trunk rises.
+rising to standing from sitting", Physical Therapy 70, 1990). The seat is
+placed where the balanced hips end; the root rests on it and the trunk rises.
 """
 
 from __future__ import annotations
@@ -20,33 +20,33 @@ from questsim.motion.synthesis.pose import Posture, solve
 from questsim.motion.synthesis.posture import REST_ABDUCTION, REST_ELBOW, arm, drift, idle
 
 SEAT_HEIGHT_M = 0.45
-"""Of the seat for a person of 1.75 m; a chair is as tall as its sitter asks for."""
+"""Height of the seat for a person of 1.75 m; chairs scale with the person."""
 SEAT_BEHIND_M = 0.12
-"""The seat's middle is this far behind the hips."""
+"""Distance of the seat's centre behind the hips."""
 LEAST_SECONDS = 6.0
-"""A seated clip has at least this long at 1.75 m: to sit down, to sit and to stand up."""
+"""Minimum duration of a seated clip at 1.75 m: sitting down, sitting and standing up."""
 
 _ROOT_M = SEAT_HEIGHT_M + 0.084
-"""The root above a seated person's floor: half the thickness of thighs that slope to the knees."""
+"""Root height when seated: the seat plus half the thickness of thighs that slope to the knees."""
 _DOWN_S, _UP_S = 1.7, 1.6
 _TRUNK_S = 0.9
-"""The trunk's rise after sitting down, and its bow before standing up."""
+"""Seconds in which the trunk rises after sitting down and bows before standing up."""
 _BOW_PELVIS, _BOW_CHEST = np.deg2rad(26.0), np.deg2rad(56.0)
 _PRESSURE_BACK_M = 0.055
-"""From its place in standing the pressure goes towards the heels."""
+"""Shift of the pressure from its standing position towards the heels."""
 _WIDTH_M = 1.25 * STANDING_WIDTH_M
 
 
 def seated_poses(
     time: np.ndarray, seconds: float, hip_m: float, gait: Gait, rng: np.random.Generator
 ) -> np.ndarray:
-    """Poses ``(T, 40)`` of the default body, which stands, sits and stands again.
+    """Poses ``(T, 40)`` of the default body sitting down from standing and standing up again.
 
     Args:
-        time: ``(T,)`` seconds, the clip's first frame at zero; more around the clip.
+        time: ``(T,)`` seconds, with margins; the clip's first frame is at zero.
         seconds: of the clip.
-        hip_m: height of the root of a body that stands straight.
-        gait: any; feet do not move.
+        hip_m: root height when standing straight.
+        gait: any, since the feet do not move.
         rng: of small differences between people.
     """
     begin = rng.uniform(0.5, 0.8)
@@ -56,7 +56,7 @@ def seated_poses(
     down = smoothstep((time - begin) / (touch - begin))
     up = smoothstep((time - leave) / (stood - leave))
     low = down * (1.0 - up)
-    # The bow goes ahead of the hips, and is over before the body stands.
+    # The bow starts before the hips move and ends before the body stands.
     bow = smoothstep((time - begin) / (0.8 * (touch - begin)))
     bow *= 1.0 - smoothstep((time - leave - 0.15) / (0.85 * (stood - leave)))
     toe_out = np.deg2rad(rng.uniform(6.0, 12.0))
@@ -81,7 +81,7 @@ def _on_the_seat(
     feet: Feet,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """The crouch with its root at rest, and its trunk risen, while the seat bears it."""
+    """The crouch, with the root at rest and the trunk upright while the seat carries the body."""
     touch, leave = seated
     first, last = np.searchsorted(time, touch), np.searchsorted(time, leave)
     root = qpos[:, :3].copy()
@@ -108,7 +108,7 @@ def _with_arms(
     reach: np.ndarray,
     rng: np.random.Generator | None,
 ) -> Posture:
-    """Arms that reach forward while the body goes down or up, and lie in the lap between."""
+    """Arms that reach forward while sitting down or standing up and rest in the lap between."""
     lap = low - reach
     arms = []
     for side in range(2):

@@ -44,7 +44,7 @@ def _yaws(start: Steps) -> list[float]:
 
 
 def _hands_ready(time: np.ndarray, rng: np.random.Generator, weight: np.ndarray) -> Gesture:
-    """Hands before the body, as of somebody who is attentive."""
+    """Hands held ready in front of the body."""
     gesture = _rest(time)
     height, ahead = rng.uniform(-0.7, 0.0), rng.uniform(0.4, 0.6)
     hand = np.tile([ahead, 0.0, height], (len(time), 1))
@@ -54,7 +54,7 @@ def _hands_ready(time: np.ndarray, rng: np.random.Generator, weight: np.ndarray)
 
 
 def lunge(time: np.ndarray, seconds: float, rng: np.random.Generator) -> Action:
-    """Lunges forward or to a side: a long step, down, and back to where one stood."""
+    """Lunges forward or to a side: a long step, down, and back to the start."""
     start = stand(0.2, 0.0, len(time))
     places, yaws = _places(start), _yaws(start)
     falls, low = [], np.zeros(len(time))
@@ -104,7 +104,7 @@ def _sidewards(
         trailing = 1 - leading
         steps = [(leading, far), (trailing, far)]
         if crossing:
-            # The trailing foot crosses over, then the other one uncrosses.
+            # The trailing foot crosses over, then the other foot uncrosses.
             steps = [(trailing, 0.18 + far), (leading, 0.18 + far)]
         for foot, length in steps:
             places[foot] = places[foot] + np.array([0.0, way * length])
@@ -253,7 +253,7 @@ def kick(time: np.ndarray, seconds: float, rng: np.random.Generator) -> Action:
                 -0.8 * high if kind == 0 else 0.5 * high if kind == 2 else 0.0
             )
             if kind != 1:
-                # In line with the leg it would turn over where the leg is level.
+                # A foot aligned with the leg would flip where the leg is horizontal.
                 feet.hanging[own] *= 1.0 - smoothstep(share / 0.3)
 
     gesture = _rest(time, 0.02 + 0.0 * lifted)

@@ -1,7 +1,7 @@
 """Synthetic motion: clips of the avatar that need no download, made from published gait data.
 
-``synthesise`` makes one clip of any kind, speed and height; ``synthetic_clips`` the library
-behind the motion argument ``synthetic``. How it is made: docs/synthetic.md.
+``synthesise`` makes one clip of any kind, speed and height. ``synthetic_clips`` makes the library
+of the motion argument ``synthetic``. docs/synthetic.md describes the method.
 
 A body of another height moves as the default body does in slower or faster time: all lengths
 scale with the height, all times with its square root (equal Froude number; Alexander 1989), so
@@ -40,11 +40,11 @@ MIN_SECONDS, MAX_SECONDS = 2.0, 60.0
 MAX_TURN, MAX_CENTRIPETAL = 1.5, 2.5
 """rad/s at 1.75 m, and m/s^2 on a curve."""
 MARGIN_S = 2.5
-"""A clip that begins or ends in mid-walk is made this much longer and cut."""
+"""A clip that begins or ends in mid-walk is generated this many seconds longer and cropped."""
 SHUFFLE_STRIDE_S, SHUFFLE_WIDTH_M = 1.1, 0.16
-"""Of side steps and turns on the spot: duration of a stride, and least distance of the feet."""
+"""Side steps and turns on the spot: duration of a stride, and minimum distance of the feet."""
 MAX_STRIDE_TURN = 1.05
-"""Radians that the heading turns in a stride, at most."""
+"""Maximum turn of the heading in a stride, in radians."""
 
 _SPEEDS: dict[str, tuple[float, float, float]] = {
     "walk": (MIN_SPEED, 1.3, MAX_WALK),
@@ -55,12 +55,12 @@ _SPEEDS: dict[str, tuple[float, float, float]] = {
     "side-left": (0.2, 0.4, 0.55),
     "side-right": (0.2, 0.4, 0.55),
 }
-"""Kinds that travel: least, usual and greatest speed in m/s at 1.75 m."""
+"""Kinds that travel: minimum, usual and maximum speed in m/s at 1.75 m."""
 
 KINDS: tuple[str, ...] = ("stand", *_SPEEDS, *GESTURES)
-"""Every kind of motion that needs nothing but a floor."""
+"""Every kind of motion that needs only a floor."""
 SEATED: tuple[str, ...] = ("sit",)
-"""Kinds that need a chair, which the library of ``synthetic_clips`` is without."""
+"""Kinds that need a chair; they are not in the library of ``synthetic_clips``."""
 
 
 @dataclass(frozen=True)
@@ -280,7 +280,7 @@ def _travel(
             bob_m=0.008,
         )
     if turn != 0.0:
-        # The hips turn out so far only: quick turns take quick steps.
+        # The hips' outward rotation is limited, so quick turns need quick steps.
         most = max(MAX_STRIDE_TURN / abs(turn), 0.7)
         width = gait.step_width_m + 0.06 * min(abs(turn), 1.0)
         gait = replace(gait, stride_s=min(gait.stride_s, most), step_width_m=width)
@@ -378,9 +378,9 @@ def synthetic_clips(
 
 
 def seated_clips(seed: int = 0) -> list[Clip]:
-    """Clips of somebody who sits down on a chair and stands up again, of 8 s each.
+    """Clips of 8 s of a person sitting down on a chair and standing up again.
 
-    They stand apart from ``synthetic_clips``: without a chair nobody can follow them.
+    They are not part of ``synthetic_clips``, since they cannot be tracked without a chair.
 
     Args:
         seed: of the differences between the clips' people.
@@ -401,7 +401,7 @@ def seated_clips(seed: int = 0) -> list[Clip]:
 
 @lru_cache(maxsize=512)
 def _kept_clip(name: str, wish: _Wish, height_m: float, seeds: tuple[int, ...]) -> Clip:
-    """A clip of the library; callers get copies of it, which they may write to."""
+    """A cached clip of the library; callers get writable copies."""
     poses = kept_poses(f"{wish} {seeds}", lambda: _poses(wish, np.random.default_rng(list(seeds))))
     return _clips([(name, wish.kind, poses, height_m)])[0]
 

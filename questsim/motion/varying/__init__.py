@@ -1,1 +1,1 @@
-"""What ``questsim.motion.variation`` is made of: figures, ingredients, and what people can do."""
+"""Parts of ``questsim.motion.variation``: figures, ingredients and feasibility checks."""

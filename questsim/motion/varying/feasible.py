@@ -1,8 +1,8 @@
-"""What people can do: the reasons for which a variation is rejected.
+"""Feasibility checks: the reasons for which a variation is rejected.
 
-Legs must reach, joints must not be faster than people's, soles stay above the floor, and the
-floor must be able to carry the motion: inverse dynamics asks for the force and the moment on
-the root that no force under the soles can give.
+Legs must reach their feet, joint speeds must be human, soles must stay above the floor, and the
+floor must be able to carry the motion: inverse dynamics computes the force and the moment on the
+root that forces under the soles cannot supply.
 """
 
 from __future__ import annotations
@@ -17,28 +17,28 @@ from questsim.motion.kinematics import central_difference, sole_positions
 from questsim.skeleton import DOFS, FOOT_LINKS
 
 MISFIT_M, MISFIT_RAD = 0.015, np.deg2rad(12.0)
-"""A foot on the floor may be so far from where it should be, one in the air three times as far."""
+"""Tolerance of a stance foot's position and orientation; a foot in the air has three times that."""
 BELOW_FLOOR_M = 0.02
-"""A sole may be so far below the floor, as in the recordings themselves."""
+"""A sole may be this far below the floor, as in the recordings themselves."""
 FAST_RAD_S = {
     "hip": 14.0, "knee": 18.0, "ankle": 16.0, "spine": 5.0, "chest": 5.0, "neck": 8.0,
     "shoulder": 20.0, "elbow": 20.0, "wrist": 25.0,
 }  # fmt: skip
-"""No joint is faster; 99.99 % of the recorded frames of bandai-namco-2 are below."""
+"""Maximum joint speeds; 99.99 % of the recorded frames of bandai-namco-2 are below."""
 BACKWARDS_M_S = 1.3
-"""People walk backwards up to about this fast; they do not run backwards for an avatar."""
+"""People walk backwards up to about this fast; running backwards is rejected."""
 WINDOW_S = 0.3
-"""What lasts shorter is not held against a motion: landings, noise of the recording."""
+"""Shorter violations are tolerated, e.g. landings and noise of the recording."""
 FORCE, MOMENT_M = 0.15, 0.04
-"""Body weights, and metres of the pressure outside the feet, that the root may lack for long."""
+"""Tolerated residual on the root: body weights, and metres of the pressure outside the feet."""
 CONTACT_HEIGHT_M, FRICTION = 0.025, 0.9
-"""A point of the sole lower than this can bear (1.75 m body); the simulated floor has 1."""
+"""Sole points below this can carry load (1.75 m body); the simulated floor's friction is 1."""
 BASE_FACTOR = 1.25
-"""A variation may lack so much more than the clip that it was made of."""
+"""A variation's residual may be this many times that of its clip."""
 
 
 def fast_joint(clip: Clip) -> str | None:
-    """The first hinge that is faster than people's."""
+    """The first hinge that is faster than a person's; None if there is none."""
     most = np.abs(clip.qvel[:, 6:]).max(axis=0)
     for hinge, speed in zip(DOFS, most, strict=True):
         part = hinge.split("_")[-2]
@@ -48,7 +48,7 @@ def fast_joint(clip: Clip) -> str | None:
 
 
 def feet_missed(contacts: np.ndarray, misfit: tuple[np.ndarray, np.ndarray]) -> bool:
-    """Whether the legs did not bring the feet to where they should be.
+    """Whether the legs fail to bring the feet to their targets.
 
     Args:
         contacts: ``(T, 2)`` bool.
@@ -67,17 +67,17 @@ def in_the_floor(clip: Clip) -> bool:
 
 
 def too_fast_backwards(clip: Clip) -> bool:
-    """Whether a clip, played backwards, runs: it flies, or travels faster than people do so."""
+    """Whether a reversed clip runs backwards: it has flight, or is faster than people walk so."""
     speed = np.linalg.norm(clip.qvel[:, :2], axis=-1)
     flies = ~clip.contacts.any(axis=1)
     return bool(np.percentile(speed, 95) > BACKWARDS_M_S or flies.mean() > 0.02)
 
 
 def lacking(clip: Clip) -> tuple[float, float]:
-    """The most that the floor cannot give over ``WINDOW_S``: force and moment on the root.
+    """Largest force and moment on the root over ``WINDOW_S`` that the floor cannot supply.
 
     The equations of motion of the whole body (Newton and Euler; Kajita et al. 2003 for the
-    pressure): inverse dynamics of the six rows that no joint's torque has a part in.
+    pressure): inverse dynamics of the six rows without joint torques.
 
     Returns:
         body weights, and metres (moment over weight): how far the pressure is outside the feet.
@@ -98,7 +98,7 @@ def lacking(clip: Clip) -> tuple[float, float]:
 
 
 def reaction(clip: Clip) -> tuple[np.ndarray, np.ndarray]:
-    """What a motion asks of the floor.
+    """The ground reaction that a motion requires.
 
     Returns:
         ``(T, 3)`` the force in body weights, and ``(T, 2)`` the centre of pressure in metres
@@ -125,7 +125,7 @@ def reaction(clip: Clip) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _outside(point: np.ndarray, corners: np.ndarray, bears: np.ndarray) -> np.ndarray:
-    """Metres ``(T,)`` of points ``(T, 2)`` from the hull of those corners ``(T, 8, 2)`` that bear.
+    """Metres ``(T,)`` from points ``(T, 2)`` to the hull of the loaded corners ``(T, 8, 2)``.
 
     By the hull's support function, in 24 directions: up to 1 % too near.
     """
@@ -136,7 +136,7 @@ def _outside(point: np.ndarray, corners: np.ndarray, bears: np.ndarray) -> np.nd
 
 
 def unsupported(clip: Clip, base: tuple[float, float]) -> bool:
-    """Whether the floor cannot carry a motion, beyond what its recording lacks ``base``."""
+    """Whether a motion's residual exceeds that of its recording, ``base``, by too much."""
     force, moment = lacking(clip)
     return force > max(FORCE, BASE_FACTOR * base[0]) or moment > max(
         MOMENT_M, BASE_FACTOR * base[1]

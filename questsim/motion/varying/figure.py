@@ -1,4 +1,4 @@
-"""A clip taken apart into what a variation changes, and put together again by leg IK.
+"""Splits a clip into the parts that a variation changes, and rebuilds it by leg IK.
 
 All lengths are those of the default body; time is the clip's own.
 """
@@ -19,7 +19,7 @@ from questsim.motion.synthesis.balance import lowering
 from questsim.skeleton import FOOT_LINKS, LINKS, NUM_JOINTS
 
 _ROUNDS = 3
-"""The centre of mass comes to within 2 mm of its target in so many rounds."""
+"""Iterations after which the centre of mass is within 2 mm of its target."""
 _THIGHS = [LINKS.index("left_thigh"), LINKS.index("right_thigh")]
 _FEET = list(FOOT_LINKS)
 _UPPER = [0, *range(LINKS.index("spine"), len(LINKS))]
@@ -28,7 +28,7 @@ _UPPER = [0, *range(LINKS.index("spine"), len(LINKS))]
 
 @dataclass
 class Figure:
-    """A motion of the default body by its parts; ingredients change them in place.
+    """The parts of a motion of the default body; ingredients change them in place.
 
     Attributes:
         root: ``(T, 3)`` place of the pelvis in metres; its x and y follow from ``center``.
@@ -37,8 +37,8 @@ class Figure:
         thigh: ``(T, 2, 4)`` orientations, of which the y axis is the knee's.
         ankle: ``(T, 2, 3)`` places of the feet in metres.
         foot: ``(T, 2, 4)`` orientations of the feet.
-        contacts: ``(T, 2)`` bool, whether each foot bears.
-        center: ``(T, 2)`` where the whole body's centre of mass is over the floor, in metres.
+        contacts: ``(T, 2)`` bool, whether each foot bears on the floor.
+        center: ``(T, 2)`` horizontal position of the body's centre of mass in metres.
     """
 
     root: np.ndarray
@@ -106,8 +106,8 @@ def _link_centers(position: np.ndarray, quat: np.ndarray) -> tuple[np.ndarray, n
 def solve(figure: Figure) -> np.ndarray:
     """Poses ``(T, 40)`` whose centre of mass and feet are the figure's.
 
-    The root moves sideways until the centre of mass is where it should be, and sinks smoothly
-    where a leg is short. What the hinges' ranges do not allow is cut off: see ``misfit``.
+    The root moves horizontally until the centre of mass is on target, and sinks smoothly where a
+    leg is too short. Hinge angles are clipped to their ranges: see ``misfit``.
     """
     upper = _upper_center(figure)
     root = figure.root.copy()
@@ -119,24 +119,24 @@ def solve(figure: Figure) -> np.ndarray:
 
 
 def misfit(figure: Figure, clip: Clip) -> tuple[np.ndarray, np.ndarray]:
-    """How far a clip's feet are from where they should be: ``(T, 2)`` metres and radians."""
+    """Distance and angle of a clip's feet from their targets: ``(T, 2)`` metres and radians."""
     size = DEFAULT_HEIGHT_M / clip.height_m
     place = clip.link_position[:, _FEET] * size
-    # A clip begins at the origin, its figure where the recording is.
+    # A clip begins at the origin, its figure at the recording's position.
     place[..., :2] -= place[:1, :1, :2] - figure.ankle[:1, :1, :2]
     distance = np.linalg.norm(place - figure.ankle, axis=-1)
     return distance, rot.angle_between(clip.link_quat[:, _FEET], figure.foot)
 
 
 def _upper_center(figure: Figure) -> np.ndarray:
-    """``(T, 2)`` from the root: what pelvis, trunk, head and arms weigh in, as shares of all."""
+    """``(T, 2)`` offset of the centre of mass from the root due to pelvis, trunk, head and arms."""
     poses = np.concatenate([np.zeros_like(figure.root), figure.pelvis, figure.angles], axis=-1)
     centers, share = _link_centers(*link_poses(poses, DEFAULT_HEIGHT_M))
     return np.einsum("l,tlk->tk", share[_UPPER], centers[:, _UPPER, :2])
 
 
 def _center(figure: Figure, root: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """``(T, 2)`` the centre of mass with the root at ``(T, 3)``, its legs bent to their feet."""
+    """``(T, 2)`` centre of mass with the root at ``(T, 3)`` and the legs reaching their feet."""
     model, offsets = build_body().model, link_offsets()
     share = model.body_mass[1:] / model.body_mass.sum()
     total = upper + share[_UPPER].sum() * root[:, :2]
@@ -179,12 +179,12 @@ def _hips(figure: Figure, root: np.ndarray) -> np.ndarray:
 
 
 def _excess(figure: Figure, root: np.ndarray) -> np.ndarray:
-    """``(T,)`` by how many metres the root is too high for the shorter leg."""
+    """``(T,)`` excess height of the root for the shorter leg, in metres."""
     offsets = link_offsets()
     leg = -(offsets[LINKS.index("left_shin"), 2] + offsets[LINKS.index("left_foot"), 2])
     gap = figure.ankle - _hips(figure, root)
     flat = np.sum(gap[..., :2] ** 2, axis=-1)
-    # A foot farther away than the leg is long is beyond saving: the misfit tells.
+    # A foot out of the leg's reach cannot be fixed here; ``misfit`` reports it.
     rise = np.sqrt(np.maximum((FULL_STRETCH * leg) ** 2 - flat, 0.01))
     return np.maximum(-(gap[..., 2] + rise).min(axis=1), 0.0)
 

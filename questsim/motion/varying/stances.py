@@ -1,7 +1,7 @@
-"""Changes of the feet and of the path under which a foot on the floor does not slide.
+"""Changes of the feet and of the path that do not make a stance foot slide.
 
-A change is a function of time. A foot takes it as it is in the middle of each of its stances,
-and passes to the next stance's while it swings.
+A change is a function of time. Each stance uses its value in mid-stance; during the swing the
+foot moves to the value of the next stance.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from questsim.motion.synthesis.plan import smoothstep
 from questsim.motion.varying.figure import Figure
 
 GAP_FRAMES = 3
-"""Contacts that are interrupted for less are one stance."""
+"""Contacts with a shorter interruption count as one stance."""
 STEPPING_S = 0.25
 """Within this time of a step the path may drift."""
 
@@ -61,7 +61,7 @@ def steps(figure: Figure) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Drift:
-    """How a path leaves the recorded one, where the feet step.
+    """Deviation from the recorded path while the feet step.
 
     Attributes:
         sideways, forwards: in m/s of the default body.
@@ -74,7 +74,7 @@ class Drift:
 
 
 def drift_path(figure: Figure, drift: Drift) -> None:
-    """Lead the figure along another path; every stance foot is held where it lands."""
+    """Move the figure along another path; every stance foot stays where it lands."""
     step = steps(figure)
     turn = np.cumsum(step) * drift.turning / FPS
     old = figure.root[:, :2].copy()
@@ -101,7 +101,7 @@ def drift_path(figure: Figure, drift: Drift) -> None:
 
 
 def place_feet(figure: Figure, apart: float, ahead: float, toe_out: float) -> None:
-    """Set both feet down elsewhere; the body balances over where they are now.
+    """Move both feet; the body balances over their new positions.
 
     Args:
         figure: changed in place.
@@ -123,16 +123,16 @@ def place_feet(figure: Figure, apart: float, ahead: float, toe_out: float) -> No
 
 
 def _mean_under_load(figure: Figure, shifts: np.ndarray) -> np.ndarray:
-    """Mean ``(T, 2)`` of the feet's shifts ``(2, T, 2)``, each by how much its foot bears."""
+    """Mean ``(T, 2)`` of the feet's shifts ``(2, T, 2)``, weighted by their load."""
     load = gaussian_filter1d(figure.contacts.astype(float), 2.0, axis=0, mode="nearest") + 1e-3
     load /= load.sum(axis=1, keepdims=True)
     return np.einsum("tf,ftk->tk", load, shifts)
 
 
 def move_pressure(figure: Figure, pressure: np.ndarray) -> None:
-    """Let the body balance over pressures that lie ``(T, 2)`` metres from where they were.
+    """Rebalance the body over centres of pressure shifted by ``(T, 2)`` metres.
 
-    The centre of mass obeys a linear equation, so that its changes obey the same one.
+    The centre of mass obeys a linear equation, so its changes obey the same one.
     """
     height = np.full(len(figure), max(float(figure.root[:, 2].mean()), 0.3) + 0.07)
     figure.center = figure.center + balanced_path(pressure, height, figure.time)

@@ -21,12 +21,12 @@ UPPER = slice(dof("spine_y"), None)
 LEG_M = 0.86
 """Hip to ankle of the default body."""
 _OVERHEAD = np.array([0.3, 1.0, -0.3])
-"""Where an elbow points when its hand is above the head."""
+"""Direction of the elbow when the hand is above the head."""
 
 
 @dataclass(frozen=True)
 class Moment:
-    """When something is done in a clip: 0 to 1 within ``ease``, held, and back; seconds."""
+    """When an ingredient acts: from 0 to 1 within ``ease``, held, and back; in seconds."""
 
     begin: float
     ease: float
@@ -39,7 +39,7 @@ class Moment:
 
 
 def shares(moments: tuple[Moment, ...], time: np.ndarray) -> np.ndarray:
-    """The largest share ``(T,)`` of some moments; all the time if there are none."""
+    """The largest share ``(T,)`` of several moments; 1 throughout if there are none."""
     if not moments:
         return np.ones(len(time))
     return np.max([moment.share(time) for moment in moments], axis=0)
@@ -57,14 +57,14 @@ def bow(
 ) -> None:
     """Bend the trunk forward.
 
-    The pelvis goes back as far as the centre of mass asks for (``solve``).
+    ``solve`` moves the pelvis back to keep the centre of mass in place.
 
     Args:
         figure: changed in place.
         pitch: ``(T,)`` radians of the chest.
-        at_hips: share of it that the pelvis makes.
-        looking_up: share of it that the neck takes back.
-        arms_hang: share of it by which the arms stay behind the chest, as hanging ones do.
+        at_hips: share of it done by the pelvis.
+        looking_up: share of it that the neck compensates.
+        arms_hang: share of it that the shoulders compensate, so that the arms hang down.
     """
     tilt(figure, at_hips * pitch, np.zeros_like(pitch))
     for hinge in ("spine_y", "chest_y"):
@@ -105,13 +105,13 @@ def set_arm(figure: Figure, side: int, arm: Arm) -> None:
 def reach_about(
     figure: Figure, rng: np.random.Generator, hands: tuple[bool, bool], weight: np.ndarray
 ) -> None:
-    """The hands go from place to place, with unhurried minimum-jerk movements.
+    """Move the hands between random points with unhurried minimum-jerk movements.
 
     Args:
         figure: changed in place.
         rng: of the places.
         hands: whether the left and the right hand take part.
-        weight: ``(T,)`` how much of the arms is theirs, 0 to 1.
+        weight: ``(T,)`` blend from the recorded arms (0) to the reaching ones (1).
     """
     for side in range(2):
         if hands[side]:
@@ -127,14 +127,14 @@ def _wandering(time: np.ndarray, rng: np.random.Generator, side: int) -> Arm:
     target = distance[:, None] * np.column_stack(
         [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)]
     )
-    # One direction a clip: an elbow that turned about on the way would look like a broken one.
+    # One elbow direction per clip: an elbow that changed it on the way would look broken.
     elbow = gestures.DOWN_OUT if elevation.mean() < 0.3 else _OVERHEAD
     elbow = elbow + rng.normal(0.0, 0.15, 3)
     return gestures.reach(target, side, elbow, rng.uniform(-0.5, 1.2))
 
 
 def _keyed(time: np.ndarray, rng: np.random.Generator, low: float, high: float) -> np.ndarray:
-    """A curve ``(T,)`` that goes from one random value to the next and rests there a while."""
+    """A curve ``(T,)`` that moves between random values and rests at each for a while."""
     out, at = np.full(len(time), rng.uniform(low, high)), -rng.uniform(0.0, 1.0)
     while at < time[-1]:
         value = rng.uniform(low, high)
@@ -167,7 +167,7 @@ def look_and_twist(
 def take_upper(figure: Figure, donor: np.ndarray, first: int) -> None:
     """Take trunk, neck and arms of another clip's poses ``(N, 40)`` from frame ``first`` on.
 
-    A clip that is too short is played forth and back.
+    A clip that is too short is played forwards and backwards.
     """
     frames = first + np.arange(len(figure))
     period = max(2 * (len(donor) - 1), 1)
