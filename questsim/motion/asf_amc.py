@@ -1,7 +1,7 @@
 """ASF/AMC (Acclaim) files: a skeleton file for each subject, a motion file for each take.
 
-A bone's turn is about its beginning, in axes of its own that lie in the world as ``axis`` says.
-The recording's joints are the bones' beginnings, all with the world's axes in the rest pose.
+A bone rotates about its start, in its own axes, whose world orientation is given by ``axis``.
+The recording's joints are the starts of the bones, all with the world's axes in the rest pose.
 
 Source: Lander, "Working with Motion Capture File Formats", Game Developer, January 1998; the
 files of mocap.cs.cmu.edu.
@@ -22,14 +22,14 @@ from questsim.errors import InputError
 from questsim.motion.recording import AGAIN, MAX_LENGTH, Recording, decode, read_bytes
 
 FPS = 120.0
-"""AMC files do not say their rate; CMU's and HDM05's are of 120 Hz."""
+"""AMC files do not store their frame rate; CMU's and HDM05's are recorded at 120 Hz."""
 _DOFS = {"TX", "TY", "TZ", "RX", "RY", "RZ"}
 _SUBJECT = re.compile(r"[_\-. ]")
 
 
 @dataclass
 class _Bone:
-    """A bone; of the root only ``axis`` and ``dofs`` mean something."""
+    """A bone; for the root, only ``axis`` and ``dofs`` are used."""
 
     name: str = ""
     direction: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -44,9 +44,9 @@ class Skeleton:
 
     Attributes:
         bones: by name, the root under ``"root"``.
-        parents: each bone's parent, parents before children; the root is missing.
+        parents: each bone's parent, parents before children; without the root.
         degrees: whether angles are in degrees.
-        position: ``(3,)`` the root's place in the rest pose.
+        position: ``(3,)`` the root's position in the rest pose.
     """
 
     bones: dict[str, _Bone]
@@ -58,11 +58,11 @@ class Skeleton:
 def skeleton_of(amc: Path) -> Path:
     """The ASF file that belongs to an AMC file: next to it or in the folder above.
 
-    It has the motion's name, or the name's beginning (``02.asf`` for ``02_01.amc``, the longest
-    that fits), or is the only one.
+    Its name is the motion's or the longest matching prefix of it (``02.asf`` for ``02_01.amc``),
+    or it is the only ASF file there.
 
     Raises:
-        InputError: there is none, or several of which none fits.
+        InputError: there is none, or there are several and none matches.
     """
     found: list[Path] = []
     for folder in (amc.parent, amc.parent.parent):
@@ -94,8 +94,7 @@ def read_asf_amc(path: str | Path, fps: float | None = None) -> Recording:
         fps: frames a second; 120 if not given.
 
     Raises:
-        InputError: either file is missing or not what the format prescribes; the message names
-            the line.
+        InputError: either file is missing or violates the format; the message names the line.
     """
     path = Path(path)
     data = read_bytes(path)
@@ -157,7 +156,7 @@ def read_asf(text: str, path: Path) -> Skeleton:
     """The skeleton of an ASF file's text.
 
     Raises:
-        InputError: the text is not what the format prescribes; the message names the line.
+        InputError: the text violates the format; the message names the line.
     """
     sections = _sections(text)
     for needed in ("root", "bonedata", "hierarchy"):
@@ -290,7 +289,7 @@ def _dofs(words: list[str], where: str) -> tuple[str, ...]:
 
 
 def _read_amc(text: str, skeleton: Skeleton, path: Path) -> dict[str, np.ndarray]:
-    """For each bone that moves its values ``(T, number of its dofs)``.
+    """The values ``(T, number of dofs)`` of each moving bone.
 
     Raises:
         InputError: a line is wrong, or a frame lacks a bone; the message names it.

@@ -1,4 +1,4 @@
-"""Public datasets: fetched once, every clip verified against a shipped manifest."""
+"""Public datasets: downloaded once; every clip is verified against a shipped manifest."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Dataset:
         url: the archive.
         folder: the folder inside the archive that holds it.
         licence: SPDX identifier.
-        credit: who is to be credited, and where it comes from.
+        credit: the attribution and the source.
         data: the folder of ``NAME.sha256.gz`` (a line ``DIGEST  FILE`` for each clip) and
             ``NAME-test.txt`` (names of the test clips); None for the package's own.
     """
@@ -67,7 +67,7 @@ def register_dataset(dataset: Dataset) -> None:
     """Add a data set, e.g. from a module that ``QUESTSIM_EXTENSIONS`` names.
 
     Raises:
-        InputError: the name is taken or cannot be one, or its manifest or test list is not there.
+        InputError: the name is taken or invalid, or the manifest or test list is missing.
     """
     name = dataset.name
     if DATASETS.get(name, dataset) != dataset:
@@ -85,7 +85,7 @@ def _data(name: str) -> Path:
 
 
 def cache_dir() -> Path:
-    """Where downloads and retargeted clips are kept: ``QUESTSIM_CACHE`` or the platform's place."""
+    """Folder of downloads and retargeted clips: ``QUESTSIM_CACHE`` or the platform's cache."""
     return Path(os.environ.get("QUESTSIM_CACHE") or pooch.os_cache("questsim"))
 
 
@@ -127,7 +127,7 @@ def clip_files(name: str) -> list[Path]:
     """The dataset's files, sorted.
 
     Raises:
-        InputError: it has not been fetched, or files have gone since.
+        InputError: it has not been fetched, or files have been removed since.
     """
     folder = dataset_folder(name)
     files = [folder / filename for filename in sorted(manifest(name))]
@@ -140,7 +140,7 @@ def clip_files(name: str) -> list[Path]:
 
 
 def manifest_digest(name: str) -> str:
-    """SHA-256 over the manifest: stands for the content of all clips."""
+    """SHA-256 of the manifest; it identifies the content of all clips."""
     text = "".join(f"{digest}  {file}\n" for file, digest in sorted(manifest(name).items()))
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -151,8 +151,7 @@ _MARKER = "verified.sha256"
 def fetch(name: str, mirror: str | None = None) -> Path:
     """Downloads a dataset, verifies every clip and unpacks it into the cache.
 
-    Clips that are there and verified already are kept; an archive that was downloaded but not
-    wholly unpacked is used again.
+    Verified clips are kept; a downloaded archive that was not fully unpacked is reused.
 
     Args:
         name: a key of ``DATASETS``.
@@ -162,8 +161,8 @@ def fetch(name: str, mirror: str | None = None) -> Path:
         The folder with the clips.
 
     Raises:
-        InputError: there is no such dataset, the archive cannot be had or read, or a clip is
-            missing from it or differs from the manifest.
+        InputError: there is no such dataset, the archive cannot be downloaded or read, or a clip
+            is missing from it or differs from the manifest.
     """
     dataset = known(name)
     folder = dataset_folder(name)
@@ -193,7 +192,7 @@ def known(name: str) -> Dataset:
 
 
 def _archive(dataset: Dataset, mirror: str | None) -> tuple[Path, bool]:
-    """The zip file, and whether it is our download, to be removed after use."""
+    """The zip file, and whether it was downloaded here and is removed after use."""
     url = mirror or dataset.url
     scheme = urlparse(url).scheme
     if scheme == "file":
@@ -203,10 +202,10 @@ def _archive(dataset: Dataset, mirror: str | None) -> tuple[Path, bool]:
             raise InputError("no such mirror file", url)
         return Path(url), False
     folder = cache_dir() / "downloads"
-    # The name tells mirrors apart, so that one's unfinished business is not taken for another's.
+    # Each mirror has its own file name, so that partial downloads are not mixed up.
     file = f"{dataset.name}-{hashlib.sha256(url.encode()).hexdigest()[:12]}.zip"
     try:
-        # GitHub does not promise the same bytes for an archive twice: the clips are verified.
+        # GitHub's archives are not byte-identical each time: the clips are verified instead.
         got = pooch.retrieve(
             url,
             known_hash=None,
@@ -223,7 +222,7 @@ def _archive(dataset: Dataset, mirror: str | None) -> tuple[Path, bool]:
 
 
 def _unpack(archive: Path, dataset: Dataset, wanted: dict[str, str], folder: Path) -> None:
-    """Writes the wanted clips that are as they should be; refuses the archive afterwards if not."""
+    """Writes all wanted clips with the right digest; then rejects the archive if any failed."""
     from tqdm import tqdm
 
     found, wrong = set(), []

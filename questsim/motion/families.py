@@ -1,7 +1,7 @@
-"""Skeletons of mocap files that are known by their joints' names, never by their order.
+"""Skeletons of mocap files, identified by their joint names, never by joint order.
 
-A family says which file joint plays each of the 22 joints of a ``Motion`` and how that joint's
-own axes lie in the T-pose; ``convert.py`` does the rest.
+A family maps file joints to the 22 joints of a ``Motion`` and gives the axes of each joint in the
+T-pose; ``convert.py`` does the rest.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from questsim.skeleton import JOINTS
 OPTIONAL = (
     "spine1", "spine2", "spine3", "neck", "left_clavicle", "right_clavicle", "left_toe", "right_toe"
 )  # fmt: skip
-"""Joints that a file may lack: they do not turn and are put halfway to the next one; toes where
-a foot of the legs' length has them."""
+"""Joints that a file may lack. They do not rotate and are placed halfway to the next joint. Toes
+are placed in proportion to the leg length."""
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "cmu": 0.0254 / 0.45, "dm": 0.1}
-"""Metres a unit. CMU's skeletons are in inches times 0.45 (the ASF files' length unit)."""
+"""Metres per unit; CMU's skeletons are in inches times 0.45 (the ASF files' length unit)."""
 
 UP_AXES = ("y", "z", "x", "-y", "-z", "-x")
 
@@ -37,15 +37,15 @@ class Family:
         joints: our joint's name to the file's.
         axes: for each joint, which of its own axes point forward, left and up in the T-pose,
             e.g. ``"z -y x"``; a joint that is not listed takes ``zero_axes``.
-        zero_axes: the same for a skeleton whose zero pose is a T-pose with all axes alike; None
-            to find all axes in the file.
+        zero_axes: the same for a skeleton with a T-pose as zero pose and equal axes in all joints;
+            None to find all axes in the file.
         up: the file's up axis (``"x"``, ``"-y"``, ...); None to detect it.
         units: a key of ``UNITS``; None to detect them.
         foot_pitch: radians by which the ankle joint's forward axis points below the horizontal
             when the sole is flat; ``toe_pitch`` likewise for the toe joint.
-        feet_follow_shins: whether the zero pose splays legs and feet as one.
-        rest: for joints whose axes were found in the file (``rest.find_rest``) forward, left and
-            up as columns in the joint's own frame ``(3, 3)``; they count before ``axes``.
+        feet_follow_shins: whether the zero pose splays the feet with the legs.
+        rest: for joints whose axes were found in the file (``rest.find_rest``), forward, left and
+            up as columns in the joint's own frame ``(3, 3)``; overrides ``axes``.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Family:
 
 
 def _sides(joints: Mapping[str, str], left: str, right: str) -> dict[str, str]:
-    """Our names of both sides from the left ones; ``{}`` in a file's name is the side."""
+    """Our names of both sides from the left ones; ``{}`` in a file's name stands for the side."""
     out = {}
     for ours, theirs in joints.items():
         if ours.startswith("left_"):
@@ -179,7 +179,7 @@ SMPL_LOWER = Family(
 )
 
 # The rest pose has the world's axes everywhere and splays the legs as CMU's BVH files do. Their
-# hands begin where the wrist's bone does.
+# hands start at the start of the wrist bone.
 ASF_AMC = Family(
     name="ASF/AMC",
     joints=_sides(
@@ -213,7 +213,7 @@ DEEPMIMIC = Family(
 )  # fmt: skip
 
 FAMILIES: list[Family] = [BANDAI_NAMCO, LAFAN1, CMU, SMPL, SMPL_LOWER, ASF_AMC, DEEPMIMIC]
-"""All that are known by their joints' names; of several that fit a file, the first counts."""
+"""All families identified by joint names; if several match a file, the first is used."""
 _OWN = len(FAMILIES)
 
 
@@ -221,7 +221,7 @@ def register_family(family: Family) -> None:
     """Add a family, e.g. from a module that ``QUESTSIM_EXTENSIONS`` names.
 
     Raises:
-        InputError: the name is taken, a joint is unknown, or one is lacking.
+        InputError: the name is taken, a joint is unknown, or a joint is missing.
     """
     where = f"register_family {family.name}"
     unknown = [joint for joint in (*family.joints, *family.axes) if joint not in JOINTS]
@@ -238,12 +238,12 @@ def register_family(family: Family) -> None:
 
 
 def registered_families() -> tuple[Family, ...]:
-    """Those of other packages."""
+    """Families registered by other packages."""
     return tuple(FAMILIES[_OWN:])
 
 
 def add_families(families: Sequence[Family]) -> None:
-    """Register the families of another process."""
+    """Register families that were registered in another process."""
     for family in families:
         register_family(family)
 

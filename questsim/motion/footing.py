@@ -24,12 +24,12 @@ ANKLES = [JOINTS.index(f"{side}_ankle") for side in SIDES]
 
 @dataclass(frozen=True)
 class Footing:
-    """How a person's feet stand in a recording; in metres.
+    """Heights of floor, ankles and soles in a person's recording, in metres.
 
     Attributes:
-        rise_m: from sole to ankle of the motion's flat foot.
-        floor_m: height of the floor that the lower sole says, in the avatar's space.
-        soles: lean and height of each sole over that floor.
+        rise_m: height of the ankle above the sole of the motion's flat foot.
+        floor_m: floor height estimated from the lower sole, in the avatar's space.
+        soles: tilt and height of each sole over that floor.
     """
 
     rise_m: float
@@ -61,11 +61,11 @@ def footing_of(ankles: np.ndarray, feet: np.ndarray, height: float, rise: float)
 def leg_targets(
     motion: Motion, position: np.ndarray, quat: np.ndarray, height: float, rise: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Paths of the pelvis ``(T, 3)`` and where the ankles go ``(T, 2, 3)``, over the file's floor.
+    """Path of the pelvis ``(T, 3)`` and ankle targets ``(T, 2, 3)``, over the file's floor.
 
-    The ankle of a motion may stand higher above its sole than the avatar's: what is kept is the
-    point of the sole below the ankle, so that a flat foot is flat and a lifted one as high. The
-    root sinks by as much as the avatar's ankles are lower.
+    A motion's ankle may be higher above its sole than the avatar's. The point of the sole below the
+    ankle is preserved, so that flat feet stay flat and lifted feet keep their height. The root is
+    lowered by the difference of the ankle heights.
     """
     ratio = leg_ratio(motion, height)
     avatar_rise = -sole_points()[..., 2].mean() * height / DEFAULT_HEIGHT_M

@@ -1,4 +1,4 @@
-"""The joint torques that a motion takes: inverse dynamics, with the floor carrying the root."""
+"""The joint torques that a motion requires: inverse dynamics with ground contact forces."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ from questsim.motion.kinematics import sole_points
 from questsim.skeleton import FOOT_LINKS, NUM_DOFS
 
 FRICTION = 0.8
-"""Of the pyramid of forces that the floor may give; the simulated floor has 1."""
+"""Friction coefficient of the contact force pyramid; the simulated floor has 1."""
 
 CONTACT_HEIGHT_M = 0.015
-"""A sole point lower than this can bear."""
+"""Sole points below this height can carry load."""
 
 ROOT_WEIGHTS = np.array([1.0, 1.0, 1.0, 3.0, 3.0, 3.0])
-"""A newton metre that the floor does not give to the root counts as three newtons."""
+"""In the residual on the root, one newton metre counts as three newtons."""
 
 SPREAD = 0.05
-"""Weight of the forces themselves: of many ways to stand, the one that loads all points."""
+"""Regularisation weight of the forces: prefers solutions that load all points."""
 
-# Each force is a sum of these edges of the friction pyramid, by factors that are not negative.
+# Each force is a non-negative combination of these edges of the friction pyramid.
 EDGES = np.array(
     [[FRICTION, 0.0, 1.0], [-FRICTION, 0.0, 1.0], [0.0, FRICTION, 1.0], [0.0, -FRICTION, 1.0]]
 )
 VERSION = b"1"
-"""Part of the name of what is kept: a change of the method computes it again."""
+"""Part of the cache key: change it with the method, so that torques are recomputed."""
 
 
 class InverseDynamics:
     """Torques on the body of one height and preset.
 
-    Accelerations are differences of the clip's velocities. What the root would need is given by
-    forces at sole points near the floor, inside a friction pyramid, by non-negative least
-    squares (Lawson & Hanson 1974); what they cannot give, in flight or where the capture is not
-    physical, is left out. Passive damping and armature are counted in.
+    Accelerations are differences of the clip's velocities. The force on the root
+    is supplied by forces at sole points near the floor, inside a friction pyramid, found by
+    non-negative least squares (Lawson & Hanson 1974). A residual that they cannot supply, in flight
+    or where the capture is not physical, is dropped. Passive damping and armature are included.
 
     Args:
         height_m: stature in metres.
@@ -52,7 +52,7 @@ class InverseDynamics:
     """
 
     def __init__(self, height_m: float = DEFAULT_HEIGHT_M, preset: str = "default") -> None:
-        # A copy: the floor and the joints' ranges do not take part, forces are found here.
+        # A copy without contacts and joint limits; contact forces are computed here.
         self._model = copy.copy(build_body(height_m, preset).model)
         self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
@@ -103,9 +103,9 @@ class InverseDynamics:
 
 
 def reference_torques(clips: Sequence[Clip], preset: str = "default") -> np.ndarray:
-    """Torques of clips of the 1.75 m body over its torque limits, one clip after the other.
+    """Torques of clips of the 1.75 m body, divided by its torque limits; clips are concatenated.
 
-    They take a tenth of a millisecond a frame and are kept in the cache folder.
+    They take 0.1 ms a frame to compute and are cached in the cache folder.
 
     Args:
         clips: of 1.75 m.

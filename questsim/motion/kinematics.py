@@ -13,7 +13,7 @@ from questsim.motion.clip import FPS, Clip
 from questsim.skeleton import DOFS, FEET, LINK_PARENTS, LINKS, NUM_LINKS
 
 CONTACT_HEIGHT_M = 0.03
-"""A foot bears on the floor where a point of its sole is lower than this ..."""
+"""A foot is in contact if a point of its sole is lower than this ..."""
 CONTACT_SPEED_M_S = 0.8
 """... and slower than this; both for the default body, scaled with height."""
 
@@ -39,7 +39,7 @@ def hinge_axes() -> tuple[tuple[tuple[int, np.ndarray], ...], ...]:
 
 @lru_cache(maxsize=1)
 def sole_points() -> np.ndarray:
-    """``(2, 4, 3)`` the four points on which each foot stands, in the foot's frame, in metres."""
+    """``(2, 4, 3)`` the four sole points of each foot, in the foot's frame, in metres."""
     model = build_body().model
     points = []
     for foot in FEET:
@@ -61,7 +61,7 @@ def link_poses(
     Args:
         qpos: root position and quaternion, joint angles.
         height_m: the body's stature.
-        links: which ones, by default all 16.
+        links: indices of the links; by default all 16.
     """
     needed = {0}
     for link in links:
@@ -99,7 +99,7 @@ def central_difference(values: np.ndarray, fps: float = FPS) -> np.ndarray:
 
 
 def clip_from_qpos(name: str, qpos: np.ndarray, height_m: float, **about: str) -> Clip:
-    """A clip of ``(T, 40)`` poses at 36 Hz of the body of that height.
+    """A clip from ``(T, 40)`` poses at 36 Hz of the body of height ``height_m``.
 
     Args:
         name: the clip's name.
@@ -116,7 +116,7 @@ def clips_from_qpos(
     heights_m: Sequence[float],
     about: Sequence[dict[str, str]],
 ) -> list[Clip]:
-    """Many clips at once, as ``clip_from_qpos`` makes one; much faster for short clips."""
+    """``clip_from_qpos`` for many clips at once; much faster for short clips."""
     clips = []
     for height in sorted(set(heights_m)):
         chosen = [i for i, h in enumerate(heights_m) if h == height]
@@ -133,7 +133,7 @@ def clips_from_qpos(
 
 
 def standing_clip(height_m: float, frames: int = 1) -> Clip:
-    """A clip of an avatar that stands upright at the origin, arms hanging, and looks along x."""
+    """A clip of the avatar standing upright at the origin, arms hanging, facing +x."""
     qpos = np.zeros((frames, 7 + len(DOFS)))
     qpos[:, 3] = 1.0
     position, quat = link_poses(qpos[:1], height_m)

@@ -1,8 +1,8 @@
 """The avatar's trunk, legs and arms from a motion's joints: the steps of retargeting.
 
 Trunk and head take the motion's orientations; legs and arms are bent by two-bone inverse
-kinematics in the plane of the motion's knee or elbow. ``retarget`` puts a whole clip together of
-these, ``retarget_stream`` poses as they come.
+kinematics in the plane of the motion's knee or elbow. ``retarget`` uses these steps for a whole
+clip, ``retarget_stream`` for a stream of poses.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from questsim.skeleton import DOFS, JOINT_PARENTS, JOINTS, LINKS
 
 SIDES = ("left", "right")
 FULL_STRETCH = 0.999
-"""A limb reaches at most this share of its length: beyond it the knee would snap."""
+"""Maximum extension of a limb as a share of its length; beyond it the knee would snap."""
 FLOOR_PERCENTILE = 10.0
 """The floor lies where the lower foot is lowest; a percentile is robust to single dips."""
-# In the motion's T-pose the arms point sideways, in the avatar's zero pose they hang.
+# The arms point sideways in the motion's T-pose and hang in the avatar's zero pose.
 ARM_REST = {
     "left": rot.as_quat(Rotation.from_euler("x", 90, degrees=True)),
     "right": rot.as_quat(Rotation.from_euler("x", -90, degrees=True)),
 }
-# The shoulders' first two hinges are turned about z by these angles (humanoid.xml).
+# The shoulders' first two hinges are rotated about z by these angles (humanoid.xml).
 SHOULDER_TURN = {"left": -np.pi / 4, "right": np.pi / 4}
 STRAIGHT_ARM_WEIGHT = 0.1
 """Weight of the upper arm's own hinge axis against the sine of its angle to the wrist's line."""
@@ -58,14 +58,14 @@ def leg_m(height: float) -> float:
 
 
 def hips_of(root: np.ndarray, quat: np.ndarray, height: float) -> np.ndarray:
-    """Where the avatar's hips are ``(T, 2, 3)`` with its pelvis at ``root``, turned as ``quat``."""
+    """Positions ``(T, 2, 3)`` of the hips for a pelvis at ``root``, oriented as ``quat``."""
     pelvis = quat[:, joint_index("root")]
     offsets = [_link_offset(f"{side}_thigh", height) for side in SIDES]
     return np.stack([root + rot.quat_rotate(pelvis, offset) for offset in offsets], axis=1)
 
 
 def leg_ratio(motion: Motion, height: float) -> float:
-    """Avatar's over the motion's length of thigh and shin."""
+    """Ratio of the avatar's leg length (thigh and shin) to the motion's."""
     motion_leg = sum(
         np.linalg.norm(motion.offsets[joint_index(f"{side}_{part}")])
         for side in SIDES
@@ -113,8 +113,9 @@ def fill_trunk(quat: np.ndarray, angles: np.ndarray) -> dict[str, np.ndarray]:
 def ankle_rise(motion: Motion, position: np.ndarray) -> float:
     """Metres from sole to ankle of the motion's flat foot.
 
-    The toe joint's drop below the ankle in the rest pose, and the toe's own height, which no
-    skeleton tells: the lowest it comes to the floor of the file, within reason.
+    The toe joint's drop below the ankle in the rest pose plus its height above the sole. No
+    skeleton stores the latter: the lowest height of the toe joint in the file is used, clipped to
+    plausible values.
     """
     toes = [joint_index(f"{side}_toe") for side in SIDES]
     drop = -motion.offsets[toes, 2].mean()
@@ -136,11 +137,11 @@ def _frame(down: np.ndarray, left: np.ndarray) -> np.ndarray:
 def _two_bones(
     reach: np.ndarray, axis: np.ndarray, upper: float, lower: float, bend: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Bend a two-bone limb so that it ends at ``reach`` ``(T, 3)`` from its beginning.
+    """Bend a two-bone limb so that its end is at ``reach`` ``(T, 3)`` from its start.
 
     Args:
         reach: from hip or shoulder to ankle or wrist, metres.
-        axis: ``(T, 3)`` the hinge's axis in the world, roughly.
+        axis: ``(T, 3)`` approximate axis of the hinge in the world.
         upper, lower: lengths of the bones in metres.
         bend: sign of the hinge's rotation about its axis: +1 knee, -1 elbow.
 
@@ -172,7 +173,7 @@ def fill_leg(
     height: float,
     angles: np.ndarray,
 ) -> None:
-    """Fill the six angles of a leg: the ankle goes to ``ankle`` ``(T, 3)``, turned as ``foot``."""
+    """Fill the six angles of a leg: ankle at ``ankle`` ``(T, 3)``, foot oriented as ``foot``."""
     pelvis = quat[:, joint_index("root")]
     hip = hips_of(root, quat, height)[:, SIDES.index(side)]
     knee_axis = rot.quat_rotate(quat[:, joint_index(f"{side}_hip")], np.array([0.0, 1.0, 0.0]))
@@ -212,7 +213,7 @@ def fill_arm(
     rest = ARM_REST[side]
     own = rot.quat_multiply(quat[:, joint_index(f"{side}_shoulder")], rest)
     own_axis = rot.quat_rotate(own, np.array([0.0, 1.0, 0.0]))
-    # The bent arm shows its plane; towards a straight one the upper arm's own axis takes over.
+    # A bent arm defines its plane; towards a straight arm, the upper arm's axis takes over.
     axis = np.cross(_unit(reach), _unit(upper)) + STRAIGHT_ARM_WEIGHT * own_axis
     arm, forearm, elbow = _two_bones(reach, axis, upper_length, lower_length, bend=-1.0)
 
@@ -242,7 +243,7 @@ def _arm_rest(motion: Motion) -> tuple[float, np.ndarray]:
 
 
 def _within_turn(values: np.ndarray, dofs: list[int]) -> np.ndarray:
-    """Whole turns added to angles ``(T, len(dofs))`` so that they lie about their ranges."""
+    """Adds full turns to angles ``(T, len(dofs))`` to bring them close to their ranges."""
     limits = build_body().model.jnt_range[1:][dofs]
     middle = limits.mean(axis=1)
     turns = np.round((np.median(values, axis=0) - middle) / (2 * np.pi))

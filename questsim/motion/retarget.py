@@ -1,11 +1,11 @@
-"""From a ``Motion`` on 22 joints to a ``Clip`` of the avatar; ``retarget_back`` is the way back.
+"""Retargets a ``Motion`` on 22 joints to a ``Clip``; ``retarget_back`` is the other direction.
 
 The trunk, the head and the feet take the orientations of the motion. The root's path is scaled
 by the ratio of leg lengths; each leg then reaches the motion's sole, each arm the motion's wrist
 relative to the chest (so that a raised collarbone, which the avatar lacks, still raises the
-hand), by two-bone inverse kinematics in the plane of the motion's knee or elbow. Feet that float
-or lean while they stand are planted first (``stance``). The hinge angles that follow are kept
-within the body's ranges.
+hand), by two-bone inverse kinematics in the plane of the motion's knee or elbow. Stance feet
+that float or tilt are planted first (``stance``). The resulting hinge angles are clipped to the
+body's ranges.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ def to_clip(motion: Motion, footing: Footing | None = None) -> Clip:
 
     Args:
         motion: the motion to retarget.
-        footing: of another recording of the same person, whose floor the motion then keeps, be
-            it that feet float or sink; by default the motion's own, and no foot sinks.
+        footing: of another recording of the same person; the motion then keeps that floor, even
+            if feet float or sink. By default it is measured from the motion, and no foot sinks.
 
     Raises:
         InputError: the stature is outside the range of bodies.
@@ -96,7 +96,7 @@ def _place_on_floor(
     feet: np.ndarray,
     height: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Put the floor at z = 0 and feet that stand on it; the root ``(T, 3)`` is moved in place.
+    """Put the floor at z = 0 and stance feet on it; the root ``(T, 3)`` is moved in place.
 
     Returns:
         ankle targets ``(T, 2, 3)``, orientations of the feet ``(T, 2, 4)`` and how far each foot
@@ -122,17 +122,17 @@ def _solve_legs(
     height: float,
     angles: np.ndarray,
 ) -> np.ndarray:
-    """Solve the legs, twice: what the ankle's hinges lack may press a sole into the floor.
+    """Solve the legs twice: the ankle's missing degrees of freedom may push a sole into the floor.
 
-    They lack the foot's yaw, too: planted soles are put where they would be with it, so that they
+    The ankle has no yaw either. Planted soles are placed where they would be with it, so that they
     skate no more than the motion's.
 
     Args:
-        root, quat, ankles, feet: where pelvis and feet go, ``(T, ...)``.
-        allowed: ``(T, 2)`` how low each sole may be.
+        root, quat, ankles, feet: targets of the pelvis and the feet, ``(T, ...)``.
+        allowed: ``(T, 2)`` minimum height of each sole.
         bears: ``(T, 2)`` how far each foot is planted.
         height: the avatar's stature.
-        angles: ``(T, 33)`` of which the legs' are filled.
+        angles: ``(T, 33)``; those of the legs are filled.
 
     Returns:
         ``(T, 40)`` poses within the ranges of the hinges.
@@ -153,7 +153,7 @@ def _solve_legs(
 
 
 def mirror_clip(clip: Clip) -> Clip:
-    """The clip seen in a mirror at the x-z plane; the name gains ``"-mirrored"``."""
+    """The clip mirrored at the x-z plane, with ``"-mirrored"`` added to its name."""
     qpos = clip.qpos.copy()
     qpos[:, 1] *= -1.0
     qpos[:, 3:7] *= [1.0, -1.0, 1.0, -1.0]
@@ -177,8 +177,8 @@ def mirror_clip(clip: Clip) -> Clip:
 def retargeting_error(motion: Motion, clip: Clip) -> dict[str, float]:
     """Mean distance in cm, by joint, of the avatar's links from the motion's joints.
 
-    Both relative to the midpoint of the hips, the motion scaled to the avatar's leg length:
-    what is left are other proportions and what the avatar's hinges cannot do.
+    Both are relative to the midpoint of the hips, and the motion is scaled to the avatar's leg
+    length. The rest comes from other proportions and from the limits of the avatar's hinges.
     """
     position, _ = motion.resampled(FPS).forward_kinematics()
     hips = position[:, [joint_index("left_hip"), joint_index("right_hip")]].mean(

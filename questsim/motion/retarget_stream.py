@@ -1,4 +1,4 @@
-"""``retarget`` for a stream: poses of a person on the avatar, one after the other.
+"""Streaming ``retarget``: transfers the poses of a person to the avatar as they arrive.
 
 For a whole motion, the floor and the stance of the feet are estimated from the motion itself. Here
 both come from an earlier recording of the same user, like a calibration. Every pose keeps its
@@ -21,13 +21,13 @@ from questsim.skeleton import FOOT_LINKS, NUM_DOFS
 
 
 class StreamRetargeter:
-    """Puts one person's poses on the avatar of one height.
+    """Retargets one person's poses to the avatar of one height.
 
-    Nothing is kept between calls but, where feet are planted, how they stood last.
+    The only state between calls is the last stance of the feet, if feet are planted.
 
     Args:
-        recording: of that person: heights of the floor and of an ankle above its sole, and how
-            each foot leans are taken from it.
+        recording: of the same person; gives the height of the floor, the height of the ankle above
+            the sole and the tilt of each foot.
         height_m: the avatar's stature.
     """
 
@@ -59,7 +59,7 @@ class StreamRetargeter:
             hips = hips_of(root, quat, self._height)
             ankles, feet, rise = self._planter(hips, ankles, feet, leg_m(self._height))
             root[:, 2] += rise
-        # What the ankle's hinges lack may press a sole lower than it is to be, and into the floor.
+        # The ankle's missing degrees of freedom may push a sole below its target, into the floor.
         allowed = np.minimum(lowest_point(ankles, feet, self._height), 0.0)
         qpos = self._with_legs(root, quat, ankles, feet, angles)
         lowest = lowest_point(*self._feet(qpos), self._height)
@@ -69,10 +69,10 @@ class StreamRetargeter:
         return qpos
 
     def _feet(self, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where the avatar's feet are ``(T, 2, 3)``, and their orientations ``(T, 2, 4)``."""
+        """Positions ``(T, 2, 3)`` and orientations ``(T, 2, 4)`` of the avatar's feet."""
         feet = [1 + link for link in FOOT_LINKS]
         position, quat = np.empty((len(qpos), 2, 3)), np.empty((len(qpos), 2, 4))
-        for row, pose in enumerate(qpos):  # a single one, as a rule
+        for row, pose in enumerate(qpos):  # usually a single one
             self._data.qpos[:] = pose
             mujoco.mj_kinematics(self._model, self._data)
             position[row], quat[row] = self._data.xpos[feet], self._data.xquat[feet]
@@ -92,7 +92,7 @@ class StreamRetargeter:
 
 
 def _within_limits(angles: np.ndarray) -> np.ndarray:
-    """Angles ``(T, 33)`` by whole turns as near to their ranges as can be, and kept in them."""
+    """Brings angles ``(T, 33)`` close to their ranges by full turns, then clips them."""
     limits = build_body().model.jnt_range[1:]
     turns = np.round((angles - limits.mean(axis=1)) / (2 * np.pi))
     return np.clip(angles - 2 * np.pi * turns, limits[:, 0], limits[:, 1])

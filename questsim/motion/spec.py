@@ -1,4 +1,4 @@
-"""One string names motions everywhere: a dataset, a library, a file, a folder, ``synthetic``."""
+"""Loads the motions of a motion argument: dataset, library, file, folder or ``synthetic``."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from questsim.motion.sources import content_digest, motion_files
 
 SYNTHETIC = "synthetic"
 FILE = "<file>"
-"""Stands for a skipped file's path in the cache."""
+"""Placeholder for a skipped file's path in the cache."""
 RANDOM, HELD_OUT = "random", "held-out"
 RANDOM_COUNT = 100
-"""Clips of ``synthetic:random`` and ``synthetic:held-out`` without a number."""
+"""Number of clips of ``synthetic:random`` and ``synthetic:held-out`` if not given."""
 
 _T = TypeVar("_T", Motion, Clip)
 
@@ -47,9 +47,9 @@ def load_motions(
 ) -> list[Clip]:
     """The avatar's clips that a motion argument names.
 
-    Files are read and retargeted once; the result is kept in the cache. Of a folder or zip, files
-    that cannot be used are skipped, and named on stderr. Everything runs in this process, unless
-    the caller allows more (``questsim.processes``).
+    Files are read and retargeted once; the result is kept in the cache. Unusable
+    files in a folder or zip are skipped and named on stderr. Everything runs in this process,
+    unless the caller allows more (``questsim.processes``).
 
     Args:
         spec: ``synthetic`` (or some of its kinds, ``synthetic:walk+bow``, or ``synthetic:all``,
@@ -60,11 +60,11 @@ def load_motions(
         height_m: scale all clips to this stature; by default each keeps its performer's.
         mirrored: add a mirrored copy of each clip after the clip itself.
         seed: of the synthetic motions.
-        strict: refuse a folder with a file that cannot be used.
+        strict: reject a folder that contains an unusable file.
 
     Raises:
-        InputError: there is no such thing, a dataset has not been fetched, or a file that is named
-            itself, or all in a folder, cannot be used.
+        InputError: nothing has this name, a dataset is not fetched, a file named directly
+            is unusable, or all files of a folder are.
     """
     from questsim.motion.retarget import mirror_clip
 
@@ -83,7 +83,7 @@ def load_motions(
 def load_recordings(
     spec: str | Sequence[str], *, mirrored: bool = False, seed: int = 0, strict: bool = False
 ) -> list[Motion]:
-    """The same as motions on the 22-joint skeleton, as recorded (synthetic ones as made).
+    """Like ``load_motions``, but motions on the 22-joint skeleton, as recorded or generated.
 
     Args:
         spec: as in ``load_motions``.
@@ -128,7 +128,7 @@ def _choices() -> str:
 
 
 def _load(part: str, clips: bool, strict: bool) -> Library:
-    """One part of a spec, but ``synthetic``: its clips, or else its motions."""
+    """The clips or the motions of one part of a spec other than ``synthetic``."""
     name, _, split = part.partition(":")
     if name in datasets.DATASETS:
         return _load_dataset(name, split or None, clips)
@@ -157,7 +157,7 @@ def _load(part: str, clips: bool, strict: bool) -> Library:
 def load_libraries(
     files: Sequence[Path], *, motions: bool = True, clips: bool = True
 ) -> tuple[Library, list[Refused]]:
-    """What is in several libraries, and those that cannot be read."""
+    """The content of several libraries, and the libraries that cannot be read."""
     out, refused = Library(), []
     for file in files:
         try:
@@ -174,10 +174,10 @@ def _load_dataset(name: str, split: str | None, clips: bool) -> Library:
     chosen = set(datasets.split_names(name, split))
     options = ReadOptions(licence=datasets.DATASETS[name].licence)
     key = [name, datasets.manifest_digest(name)]
-    # Asked first, so that a cache of clips does not serve a dataset that is not there.
+    # Checked first, so that cached clips are not used for a dataset that is missing.
     files = datasets.clip_files(name)
     loaded, refused = _cached(key, lambda: files, options, clips, chosen)
-    if refused:  # its files are verified: none may be lost
+    if refused:  # the files are verified, so none may be skipped
         raise InputError(refused[0].message)
     return loaded
 
@@ -190,28 +190,28 @@ def _cached(
     names: set[str] | None = None,
     given: Sequence[str] | None = None,
 ) -> tuple[Library, list[Refused]]:
-    """Reads files through a library in the cache, whose name is a digest of all it depends on.
+    """Reads files through a cached library, whose name is a digest of all its inputs.
 
     Args:
         key: everything on which the library depends.
-        files: to be read if it is not there.
+        files: read if the library is not in the cache.
         options: for reading.
-        clips: whether clips are asked for, or motions.
-        names: only those of these names.
+        clips: whether to return clips or motions.
+        names: return only these.
         given: the name of each file's motion; by default its own.
 
     Returns:
-        The library, and the files that cannot be used, which are kept beside it.
+        The library and the unusable files, whose list is stored next to it.
     """
     others = map(repr, registered_families())
     digest = hashlib.sha256("\n".join([*key, repr(options), *others, _code_digest()]).encode())
     path = datasets.cache_dir() / "clips" / f"{digest.hexdigest()[:32]}.npz"
     if not path.is_file():
         with _alone(path):
-            if not path.is_file():  # another process may have been at it
+            if not path.is_file():  # another process may have made it
                 _make(path, files(), options, given)
     refused = _refused(path, files)
-    # Also the first time through the file, so that the first and later calls agree to the bit.
+    # The first call also reads the file back, so that it agrees with later calls to the bit.
     return load_library(path, motions=not clips, clips=clips, names=names), refused
 
 
@@ -223,7 +223,7 @@ def _make(
     for index, result in enumerate(results):
         if isinstance(result, Retargeted):
             done.append(result.named(given[index]) if given else result)
-        else:  # the file may be elsewhere the next time
+        else:  # the file may have moved by the next call
             refused.append([index, result.message.replace(str(result.path), FILE)])
     if refused:
         with whole_file(_beside(path)) as fresh:
@@ -232,7 +232,7 @@ def _make(
 
 
 def _refused(path: Path, files: Callable[[], Sequence[Path]]) -> list[Refused]:
-    """The files that a library in the cache was made without."""
+    """The unusable files that a cached library leaves out."""
     if not _beside(path).is_file():
         return []
     entries, chosen = json.loads(_beside(path).read_text(encoding="utf-8")), files()
@@ -244,7 +244,7 @@ def _beside(path: Path) -> Path:
 
 
 def _alone(path: Path) -> FileLock:
-    """The lock under which ``path`` is made, so that trainings begun together make it once."""
+    """Lock for making ``path``, so that trainings started together make it only once."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path.parent):
@@ -260,7 +260,7 @@ def _alone(path: Path) -> FileLock:
 
 @lru_cache
 def _code_digest() -> str:
-    """Digest of the code and the body that clips depend on: they outdate the cache."""
+    """Digest of the code and the body that clips depend on; a change invalidates the cache."""
     here = Path(__file__).parent
     others = (
         "datasets inverse_dynamics library many motions_command naming spec variation vary_command"
@@ -279,7 +279,7 @@ def _is_synthetic(part: str) -> bool:
 
 
 def _synthetic(part: str, seed: int) -> list[Clip]:
-    """``synthetic``, or of it only the kinds in ``synthetic:KIND+KIND``, or random clips."""
+    """All of ``synthetic``, the kinds in ``synthetic:KIND+KIND``, or random clips."""
     from questsim.motion.synthesis import random_clips as random
     from questsim.motion.synthesis.synthetic import (
         ACTIONS,
@@ -303,7 +303,7 @@ def _synthetic(part: str, seed: int) -> list[Clip]:
         if kind not in known:
             choices = ", ".join((*known, "all", f"{RANDOM}:COUNT", f"{HELD_OUT}:COUNT"))
             raise InputError(f"there is no kind {kind!r}", part, f"choose from {choices}")
-    # Each is made only if it is asked for.
+    # Each is generated only on request.
     clips = synthetic_clips(seed, kinds=wanted)
     clips += random.action_clips([kind for kind in ACTIONS if kind in wanted], seed)
     clips += seated_clips(seed) if set(wanted) & set(SEATED) else []
@@ -317,7 +317,7 @@ def _count(text: str, part: str) -> int:
 
 
 def _with_unique_names(parts: Sequence[tuple[str, Sequence[_T]]]) -> list[_T]:
-    """The items of all parts; names that come twice get a folder's name or a number."""
+    """The items of all parts; repeated names get a folder's name or a number."""
     items = [item for _, members in parts for item in members]
     places = [place(part) for part, members in parts for _ in members]
     names = unique_names([item.name for item in items], places)

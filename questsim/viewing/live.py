@@ -1,7 +1,7 @@
-"""What a running simulation shows to those who watch it, and what they may ask of it.
+"""The interface between a running simulation and its viewers.
 
-Viewers know a simulation only by this: what is behind it, agents and environments, is in
-``agents/live``.
+Viewers use a simulation only through this interface; ``agents/live`` implements it with agents
+and environments.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ from questsim.objects import ObjectShape
 from questsim.skeleton import FOOT_LINKS, LINKS
 
 NEWTONS_PER_METRE = 1500.0
-"""Of force arrows: a foot that carries 70 kg has one of 46 cm."""
+"""Scale of force arrows: a foot that carries 70 kg has an arrow of 46 cm."""
 PUSH_SCALE = 5.0
-"""Pushes are drawn this much longer: one of 100 N has an arrow of 33 cm."""
+"""Arrows of pushes are this many times longer: a push of 100 N has an arrow of 33 cm."""
 
 _ASIDE_M = 0.14
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0)
-"""How fast time may go, as multiples of real time."""
+"""Selectable playback speeds as multiples of real time."""
 
 ROUGHNESS = (0.0, 2.0)
-"""Least and greatest multiple of a terrain's own relief."""
+"""Minimum and maximum factor on a terrain's own relief."""
 
 
 @dataclass(frozen=True)
 class Scenery:
-    """What a picture needs that seldom changes.
+    """The parts of a picture that rarely change.
 
     Attributes:
-        number: grows with every change.
+        number: increases with every change.
         height_m: the avatar's stature.
         ground: the floor near the clip's path; None for a flat one at z = 0.
-        parts: of the object that is there; empty without one.
-        user_height_m: the stature of the person that it follows; None for the avatar's.
+        parts: parts of the object in the scene; empty without one.
+        user_height_m: the user's stature; None for the avatar's.
     """
 
     number: int
@@ -60,25 +60,24 @@ class Snapshot:
     """One moment of a simulation.
 
     Attributes:
-        scenery: what it stands on.
-        step: steps since the session began; every snapshot of a moment has one of its own.
+        scenery: the scenery of this moment.
+        step: steps since the session began; unique for each moment.
         time_s: seconds since the clip's first frame.
         duration_s: of the clip.
         position, quat: ``(16, 3)`` metres and ``(16, 4)`` wxyz, the avatar's links.
-        reference_position, reference_quat: the same of the person that it follows, in that
-            person's own size.
-        device_position, device_quat: ``(D, 3)``, ``(D, 4)`` of the user's devices, as they are
-            scaled to the avatar.
-        contact_force: ``(2, 3)`` newtons that the floor gives to the left and the right foot.
-        qpos, reference_qpos: ``(40,)`` both poses, as pictures take them.
+        reference_position, reference_quat: the same for the user, in the user's own size.
+        device_position, device_quat: ``(D, 3)``, ``(D, 4)`` of the user's devices, scaled to the
+            avatar.
+        contact_force: ``(2, 3)`` force of the floor on the left and the right foot in newtons.
+        qpos, reference_qpos: ``(40,)`` poses of the avatar and the reference, for rendering.
         error_m: mean distance of the links from the reference.
-        push_n: ``(3,)`` the force of a push on the chest now, or zeros.
-        object_pose: ``(3,)`` where the object is and ``(4,)`` its orientation, or None.
+        push_n: ``(3,)`` current push on the chest in newtons, or zeros.
+        object_pose: position ``(3,)`` and orientation ``(4,)`` of the object, or None.
         outcome: ``""``, ``"fell"`` or ``"completed"``.
-        paused: whether time stands still.
+        paused: whether the simulation is paused.
         note: about the agent, such as the age of its checkpoint.
-        physics: whether torques move the avatar; without, it takes poses as they are, there are
-            no contact forces, and nothing can push it.
+        physics: whether torques move the avatar. If not, it is set to the agent's poses, without
+            contact forces, and cannot be pushed.
     """
 
     scenery: Scenery
@@ -104,10 +103,10 @@ class Snapshot:
 
 
 def force_arrows(snapshot: Snapshot) -> np.ndarray:
-    """Where arrows of the forces on both feet and of a push begin and end ``(3, 2, 3)``, metres.
+    """Start and end points ``(3, 2, 3)`` in metres of the force arrows of both feet and of a push.
 
-    Those of feet stand beside the leg, which would hide them; a push ends at the chest. No force,
-    no length.
+    Foot arrows are drawn beside the leg, which would hide them. A push arrow ends at the chest.
+    Without a force, an arrow has zero length.
     """
     feet = list(FOOT_LINKS)
     outward = rot.quat_rotate(snapshot.quat[feet], np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]))
@@ -128,11 +127,11 @@ class Settings:
     """What a viewer can choose.
 
     Attributes:
-        clip, agent, sensors, terrain, object: names out of ``Choices``.
-        roughness: multiplies what the terrain has of its own, such as ±4 cm of rough ground or
-            steps of 8 cm; within ``ROUGHNESS``.
+        clip, agent, sensors, terrain, object: names from ``Choices``.
+        roughness: factor on the terrain's own relief, such as ±4 cm of rough ground or steps of
+            8 cm; within ``ROUGHNESS``.
         height_m: the user's stature.
-        speed: how fast time goes; 1 is real time.
+        speed: playback speed; 1 is real time.
         object: the object, or ``"none"``.
         avatar_height_m: the avatar's stature; None for the user's.
     """
@@ -155,7 +154,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Choices:
-    """The values that a viewer can choose from; ``sensors`` are those the present agent can use."""
+    """The values that a viewer can choose from; ``sensors`` are those the agent can use."""
 
     clips: tuple[str, ...]
     agents: tuple[str, ...]
@@ -169,7 +168,7 @@ class Trace:
     """The last seconds of a session as curves.
 
     Attributes:
-        seconds: how much is kept.
+        seconds: length of the history.
         rows: time since the first row (s), error (cm), force on the left and right foot (N).
     """
 
@@ -177,7 +176,7 @@ class Trace:
     rows: list[tuple[float, float, float, float]] = field(default_factory=list)
 
     def add(self, snapshot: Snapshot, fps: float) -> None:
-        """Take in a moment; moments that were taken in already are left out."""
+        """Append a moment; moments that were already appended are ignored."""
         time = snapshot.step / fps
         if self.rows and time <= self.rows[-1][0]:
             return
@@ -192,38 +191,38 @@ class Trace:
 
 
 class Session(Protocol):
-    """A simulation that can be watched and controlled; every method from any thread."""
+    """A simulation that can be watched and controlled. Any thread may call its methods."""
 
     @property
     def settings(self) -> Settings:
-        """The present settings."""
+        """The current settings."""
         ...
 
     @property
     def choices(self) -> Choices:
-        """What can be chosen now."""
+        """The values that can currently be chosen."""
         ...
 
     def snapshot(self) -> Snapshot:
-        """The present moment."""
+        """The current moment."""
         ...
 
     def change(self, **settings: Any) -> Settings:
-        """Change some settings; all of them or, after an ``InputError``, none."""
+        """Change some settings. If one raises an ``InputError``, none of them is changed."""
         ...
 
     def pause(self, paused: bool) -> None:
-        """Let time stand still or go on."""
+        """Pause or resume the simulation."""
         ...
 
     def step_once(self) -> None:
-        """Pause, and go on by one step."""
+        """Pause, then advance by one step."""
         ...
 
     def restart(self) -> None:
-        """Begin the clip again."""
+        """Restart the clip."""
         ...
 
     def push(self, force_n: float, direction_deg: float) -> None:
-        """Push the avatar's chest for a moment: 0 degrees pushes it forwards, 90 to its left."""
+        """Push the avatar's chest briefly: 0 degrees pushes it forwards, 90 to its left."""
         ...

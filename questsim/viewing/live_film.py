@@ -1,4 +1,4 @@
-"""The film of a live session: the avatar, its user see-through, the forces, the words."""
+"""Films of a live session: the avatar, a translucent user, the forces and captions."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Take:
     """One clip of a film.
 
     Attributes:
-        settings: what was followed by whom.
-        moments: one snapshot a frame, all on one scenery.
+        settings: the settings of the session, such as clip and agent.
+        moments: one snapshot per frame, all with the same scenery.
     """
 
     settings: Settings
@@ -41,11 +41,11 @@ class Take:
 
 
 def film(takes: Sequence[Take], path: str | Path, width: int = 960, height: int = 540) -> Path:
-    """Write the takes one after the other, as an MP4 or, if the name ends so, as a GIF.
+    """Write the takes one after the other as an MP4 or a GIF, by the file's extension.
 
     Args:
         takes: what to show.
-        path: ``.mp4`` or ``.gif``; a GIF is smaller and has every third frame.
+        path: ``.mp4`` or ``.gif``; a GIF is smaller and contains every third frame.
         width, height: of the MP4 in pixels.
 
     Raises:
