@@ -280,7 +280,7 @@ def sink_for_reach(
         leg_m: length of a stretched leg.
     """
     lacking = lacking_reach(hips, ankles, stands, leg_m)
-    # The maximum first, so that the smooth curve stays above nearly all of what is lacking.
+    # The maximum first, so that the smooth curve stays above nearly all of the missing height.
     width = int(2 * ROOT_SMOOTH_FRAMES) + 1
     return gaussian_filter1d(
         maximum_filter1d(lacking, width, mode="nearest"), ROOT_SMOOTH_FRAMES, mode="nearest"

@@ -22,18 +22,18 @@ INTERRUPTED = 130
 
 @dataclass(frozen=True)
 class VaryArgs:
-    """Widen motions: the same people with other speeds, postures, stances, paths and arms."""
+    """Vary motions randomly in speed, posture, stance, path and arm movement."""
 
     spec: tyro.conf.Positional[str]
-    """What is varied: a dataset (with :train), library, file, folder, or synthetic."""
+    """Motions to vary: a dataset (with :train), library, file, folder, or synthetic."""
     out: Path
     """The library to write, LIBRARY.npz."""
     count: int = 1000
     """How many variations."""
     seed: int = 0
-    """Same motions and seed, same variations."""
+    """Random seed; the same motions and seed give the same variations."""
     first: int = 0
-    """Number of the first variation: go on where an earlier library of this seed ended."""
+    """Number of the first variation, to continue after an earlier library of this seed."""
 
 
 def vary_motions(args: VaryArgs) -> int:
