@@ -105,7 +105,9 @@ def test_import_refuses_a_damaged_bvh(name, tmp_path):
 def test_one_damaged_file_among_good_ones_leaves_no_library(tmp_path):
     (tmp_path / "a.bvh").write_text(GOOD)
     (tmp_path / "b.bvh").write_text(DAMAGED["truncated"][0])
-    assert_refused(questsim(tmp_path, "motions", "import", ".", "--out", "lib.npz"), "b.bvh")
+    assert_refused(
+        questsim(tmp_path, "motions", "import", ".", "--strict", "--out", "lib.npz"), "b.bvh"
+    )
 
 
 def test_import_refuses_declared_units_that_make_a_giant(tmp_path):

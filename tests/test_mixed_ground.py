@@ -19,6 +19,7 @@ from agents.policy.checkpoint import load_resume
 from agents.policy.policy_agent import PolicyAgent
 from agents.shipping.provenance import commands, options_of, stages_behind
 from agents.shipping.ship import ShipArgs, ship
+from agents.training import cluster
 from agents.training import train_policy as training
 from agents.training.options import TrainArgs
 from agents.training.train_policy import train
@@ -160,7 +161,7 @@ def test_teacher_and_student_learn_on_mixed_ground_under_pushes(
     clips, tmp_path, monkeypatch
 ) -> None:
     made: list[EnvConfig] = []
-    vec_env, sim = training.QuestVecEnv, training.evaluation_sim
+    vec_env, sim = cluster.QuestVecEnv, training.evaluation_sim
 
     def see_env(clips, config, *rest):
         made.append(config)
@@ -170,7 +171,7 @@ def test_teacher_and_student_learn_on_mixed_ground_under_pushes(
         made.append(config)
         return sim(clips, config, *rest, **others)
 
-    monkeypatch.setattr(training, "QuestVecEnv", see_env)
+    monkeypatch.setattr(cluster, "QuestVecEnv", see_env)
     monkeypatch.setattr(training, "evaluation_sim", see_sim)
     out = tmp_path / "run"
     assert train(tiny(out, **WILD)) == 0

@@ -102,7 +102,7 @@ FILES: dict[str, list[Callable[[Path], object]]] = {
     "AMASS (": [lambda folder: write_amass(folder / "walk_poses.npz")],
     "AMASS-like": [lambda folder: write_amass(folder / "walk_poses.npz", mocap_framerate=None)],
     "a BVH with": [slow_rate],
-    "a program whose units": [odd_units],
+    "a program with units other": [odd_units],
     "a program whose skeleton": [odd_names],
     "anything": [fbx],
 }

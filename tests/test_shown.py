@@ -158,8 +158,7 @@ def test_truths_are_as_tall_as_what_is_estimated_of_their_recordings(
     save_library(path, [to_motion(recorded)], [estimate_of(recorded)])
     learnt = []
     monkeypatch.setattr(
-        training,
-        "QuestVecEnv",
+        "agents.training.cluster.QuestVecEnv",
         lambda clips, *rest: learnt.extend(clips) or QuestVecEnv(clips, *rest),
     )
     args = tiny(tmp_path / "run", stage="student", teacher=Path("tracker"), estimates=str(path))

@@ -182,7 +182,7 @@ class Dagger:
 
     def begin_anew(self) -> None:
         """Restart all episodes before the next rollout; visited states stay in memory."""
-        self._obs = None
+        self.player.observation = None
 
     def state_dict(self) -> dict[str, Any]:
         """State for resuming, without the memory of visited states, which fills up again."""

@@ -312,7 +312,7 @@ class AdaptivePPO(PPO):
 
     def begin_anew(self) -> None:
         """Restart all episodes before the next rollout."""
-        self._last_obs = None
+        self.player.observation = None
         self._last_episode_starts = np.ones(self.n_envs, bool)  # type: ignore[assignment]
 
     def state_dict(self) -> dict[str, Any]:
