@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from agents.resolve import RANDOM, ZERO
 from questsim.lazy import imported_on_use
 from questsim.skeleton import NUM_DOFS
 
@@ -54,7 +55,7 @@ class Agent(Protocol):
 class ZeroAgent:
     """Zero torques; shows how long an avatar takes to fall."""
 
-    name, needs = "zero", Needs()
+    name, needs = ZERO, Needs()
 
     def bind(self, env: Any) -> None:
         """Anything fits."""
@@ -70,7 +71,7 @@ class ZeroAgent:
 class RandomAgent:
     """Torques drawn uniformly from [-1, 1] each step; every reset repeats the sequence."""
 
-    name, needs = "random", Needs()
+    name, needs = RANDOM, Needs()
 
     def __init__(self, seed: int = 0) -> None:
         self._seed = seed

@@ -14,7 +14,9 @@ import sys
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+from typing_extensions import Doc
 
 from questsim.errors import InputError
 from questsim.files import read_yaml
@@ -32,6 +34,8 @@ UNTRAINED = (IK,)
 """Kinematic systems without weights."""
 DEFAULT_POLICY, DEFAULT_SYSTEM = "questsim", "hmdposer"
 """Default agent of the commands."""
+LIVE_POLICY = "questsim-now"
+"""Default agent on a live headset: it needs no future frames."""
 ESTIMATE_TRACKER = "estimate-tracker"
 """The policy that follows the poses of a kinematic system."""
 SYNTHETIC_POLICY = "demo"
@@ -43,6 +47,22 @@ _POLICY_FOLDERS = (
     "ppo/best", "ppo/last", "teacher/best", "teacher/last",
 )  # fmt: skip
 """Policy folders inside a checkpoint, stage or run folder, best first."""
+
+_FOLDER = "a run, stage or checkpoint folder"
+_OWN = "your own package.module:Class"
+ANY_AGENT = (
+    f"{_FOLDER}; the name of a shipped policy or kinematic system (see questsim agents); "
+    f"{ZERO} or {RANDOM}; {_OWN}; or a kinematic system followed by {PHYSICS}, "
+    f"e.g. {DEFAULT_SYSTEM}{PHYSICS}"
+)
+"""What ``resolve`` accepts, for help texts."""
+AgentName = Annotated[str, Doc(f"Agent: {ANY_AGENT}.")]
+"""Option of a command that takes every agent, with its help text."""
+TorqueAgentName = Annotated[
+    str,
+    Doc(f"Agent: {_FOLDER}; the name of a shipped policy; {ZERO} or {RANDOM}; or {_OWN}."),
+]
+"""Option of a command that takes agents that output torques, with its help text."""
 
 Kind = Literal["policy", "baseline", "own", "system", "physics"]
 

@@ -21,6 +21,7 @@ from agents.precision import native_bfloat16
 from questsim.errors import InputError
 from questsim.files import read_yaml, recover_folder, whole_file
 from questsim.motion.clip import Clip
+from questsim.motion.motion import Motion
 
 FORMAT, FORMAT_VERSION = "questsim-run", 1
 RECORD = "run.yaml"
@@ -35,12 +36,16 @@ def data_record(spec: str, clips: Sequence[Clip]) -> dict[str, Any]:
     for clip in sorted(clips, key=lambda clip: clip.name):
         digest.update(f"{clip.name} {clip.source_sha256} {clip.height_m:.3f}".encode())
         digest.update(clip.qpos.astype("<f4").tobytes())
+    return amounts(spec, clips) | {"sha256": digest.hexdigest()}
+
+
+def amounts(spec: str, data: Sequence[Clip] | Sequence[Motion]) -> dict[str, Any]:
+    """Amount and licences of clips or motions, for a record."""
     return {
         "motions": spec,
-        "clips": len(clips),
-        "seconds": round(sum(clip.duration for clip in clips), 1),
-        "licences": dict(Counter(clip.licence or "not stated" for clip in clips)),
-        "sha256": digest.hexdigest(),
+        "clips": len(data),
+        "seconds": round(sum(item.duration for item in data), 1),
+        "licences": dict(Counter(item.licence or "not stated" for item in data)),
     }
 
 

@@ -119,6 +119,28 @@ class EpisodeRandom:
         self._streams.set_state(state)
 
 
+class Drawing:
+    """Base of what draws events of episodes and has no other state.
+
+    Attributes:
+        _random: its random numbers.
+    """
+
+    _random: EpisodeRandom
+
+    def seed(self, seeds: Seeds) -> None:
+        """Seed the random streams."""
+        self._random.seed(seeds)
+
+    def get_state(self) -> Any:
+        """State that determines later events."""
+        return self._random.get_state()
+
+    def set_state(self, state: Any) -> None:
+        """Restore the result of ``get_state``."""
+        self._random.set_state(state)
+
+
 def within(numbers: np.ndarray, low_high: tuple[float, float]) -> np.ndarray:
     """Map numbers in [0, 1) to a range."""
     low, high = low_high

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from envs.episode_random import EpisodeRandom, Seeds, within
+from envs.episode_random import Drawing, EpisodeRandom, within
 from envs.objects import WorldObject
 from envs.placement import Placement, moved
 from envs.reference import Reference
@@ -24,7 +23,7 @@ APART_M = 0.9
 _FIRST_QPOS, _FIRST_QVEL = 7 + NUM_DOFS, 6 + NUM_DOFS
 
 
-class Objects:
+class Objects(Drawing):
     """The objects of a batch.
 
     Args:
@@ -118,18 +117,6 @@ class Objects:
         look = self._direction(nowhere, place, reference.qpos[rows, 3:7])
         hips = moved(place, reference.qpos[rows, :3].astype(float) * scale)[:, :2]
         spot[sits], travel[sits] = hips - SEAT_BEHIND_M * scale * look, look
-
-    def seed(self, seeds: Seeds) -> None:
-        """Seed the random streams of places."""
-        self._random.seed(seeds)
-
-    def get_state(self) -> Any:
-        """State that determines later places."""
-        return self._random.get_state()
-
-    def set_state(self, state: Any) -> None:
-        """Restore the result of ``get_state``."""
-        self._random.set_state(state)
 
     @staticmethod
     def _direction(step: np.ndarray, place: np.ndarray, quat: np.ndarray) -> np.ndarray:

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from envs.episode_random import EpisodeRandom, Seeds
+from envs.episode_random import Drawing, EpisodeRandom
 from envs.pushes import check_range
 from questsim import rotations as rot
 from questsim.errors import InputError
@@ -72,7 +71,7 @@ class Starts:
         return self.standing + self.still + self.disturbed
 
 
-class Beginnings:
+class Beginnings(Drawing):
     """Changes the initial states of a batch's episodes.
 
     Args:
@@ -154,18 +153,6 @@ class Beginnings:
         low = np.minimum(self._range[:, 0], qpos[which, 7:])
         high = np.maximum(self._range[:, 1], qpos[which, 7:])
         qpos[which, 7:] = np.clip(qpos[which, 7:] + error, low, high)
-
-    def seed(self, seeds: Seeds) -> None:
-        """Seed the random streams."""
-        self._random.seed(seeds)
-
-    def get_state(self) -> Any:
-        """State of the random streams."""
-        return self._random.get_state()
-
-    def set_state(self, state: Any) -> None:
-        """Restore the result of ``get_state``."""
-        self._random.set_state(state)
 
 
 def _direction(numbers: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ FORBIDDEN = {
 }
 ALLOWED = {ROOT / "questsim" / "cli.py"}
 ORDER = (
-    "precision", "overrides", "licence", "run_folder", "agent", "resolve", "policy", "loading",
+    "precision", "overrides", "licence", "run_folder", "resolve", "agent", "policy", "loading",
     "evaluation", "training", "kinematic", "comparison", "shipping", "live",
     "follower", "headset", "commands",
 )  # fmt: skip

@@ -8,8 +8,8 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from agents.kinematic.data import MotionBank
-from agents.kinematic.dragposer.assembly import assembled
 from agents.kinematic.interface import Poses, UserBody
+from agents.kinematic.recurrent.assembly import assembled
 from agents.kinematic.recurrent.features import features
 from agents.kinematic.recurrent.poser import RecurrentModule
 from agents.kinematic.registry import AGENTS

@@ -1,6 +1,6 @@
 """Ablations: compare a kinematic system with variants that lack one part each.
 
-``questsim ablations --agent lgsik --motions bandai-namco-2:train --test bandai-namco-2:test
+``questsim ablations --agent SYSTEM --motions bandai-namco-2:train --test bandai-namco-2:test
 --minutes 3 --out DIR`` trains the full system and every variant in its registry entry, one after
 the other, with the same seed and the same small budget. It scores all of them on the same motions,
 as ``agents.comparison.compare`` does. Variants that differ only at run time use the full system's
@@ -46,7 +46,7 @@ class AblationsArgs:
     """Train a kinematic system and variants that lack one part each, and compare them."""
 
     agent: str = ""
-    """A kinematic system with variants, e.g. lgsik; see questsim agents."""
+    """A kinematic system with variants; see questsim agents."""
     motions: str = "synthetic"
     """Motions to learn: synthetic, a dataset (bandai-namco-2:train), a library, file or folder."""
     test: str = "synthetic"

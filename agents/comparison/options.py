@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+from typing_extensions import Doc
+
+from agents.resolve import ANY_AGENT
 
 
 @dataclass(frozen=True, kw_only=True)
 class CompareArgs:
     """Compare kinematic systems and policies on the same frames."""
 
-    agents: tuple[str, ...] = ()
-    """Agents to compare: everything that --agent accepts (names, checkpoint and run folders, your
-    own classes, systems followed by +physics). By default all shipped agents."""
+    agents: Annotated[
+        tuple[str, ...],
+        Doc(f"Agents to compare, by default all shipped ones. Each is {ANY_AGENT}."),
+    ] = ()
     motions: str = "synthetic"
     """Motions to reconstruct: synthetic, a dataset, a library, file or folder."""
     sensors: str | None = None

@@ -6,21 +6,30 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from agents.resolve import DEFAULT_POLICY
+from agents.resolve import DEFAULT_POLICY, AgentName, TorqueAgentName
 
 Begin = Literal["reference", "still", "standing"]
 
 
 @dataclass(frozen=True)
-class EvaluateArgs:
-    """Run an agent on clips from their first frame and score it."""
+class _FollowArgs:
+    """What every evaluation needs: an agent and clips to follow."""
 
-    agent: str = DEFAULT_POLICY
-    """Agent: a run, stage or checkpoint folder; the name of a shipped policy or kinematic system;
-    ik, zero or random; your own package.module:Class; or a kinematic system followed by +physics,
-    e.g. hmdposer+physics."""
+    agent: AgentName = DEFAULT_POLICY
     motions: str = "synthetic"
     """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
+    max_clips: int | None = None
+    """Follow only this many clips, of all kinds of motion."""
+    threads: int = 2
+    """Threads of physics and networks."""
+    seed: int = 0
+    """Seed of the embedded motions."""
+
+
+@dataclass(frozen=True)
+class EvaluateArgs(_FollowArgs):
+    """Run an agent on clips from their first frame and score it."""
+
     env: str | None = None
     """Environment id (see questsim envs); by default the one the agent needs."""
     height: float | None = None
@@ -50,46 +59,24 @@ class EvaluateArgs:
     """Names of the clips in the video; by default four of different kinds."""
     save_motion: str | None = None
     """Also write the avatar's motion on each clip into OUT/motions, as bvh, glb, npz or csv."""
-    max_clips: int | None = None
-    """Follow only this many clips, of all kinds of motion."""
-    threads: int = 2
-    """Threads of physics and networks."""
-    seed: int = 0
-    """Of the embedded motions."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class WorldsArgs:
+class WorldsArgs(_FollowArgs):
     """Let an agent follow clips in the worlds table: rough ground, slopes, pushes, a ball."""
 
-    agent: str = DEFAULT_POLICY
-    """A run, stage or checkpoint folder, the name of a shipped policy, zero, random, or
-    package.module:Class of your own."""
-    motions: str = "synthetic"
-    """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
+    agent: TorqueAgentName = DEFAULT_POLICY
     out: Path
     """Folder for worlds.json."""
-    max_clips: int | None = None
-    """Follow only this many clips, of all kinds of motion."""
-    threads: int = 2
-    """Threads of physics and networks."""
     seed: int = 0
-    """Of the embedded motions, and of the worlds."""
+    """Seed of the embedded motions and of the worlds."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScorecardArgs:
+class ScorecardArgs(_FollowArgs):
     """Evaluate a policy and its variants at all heights against the project's bars."""
 
     agent: str = DEFAULT_POLICY
     """The name of a shipped policy; others are called after it, e.g. NAME-headset."""
-    motions: str = "synthetic"
-    """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
     out: Path | None = None
     """Folder for scorecard.json and a report of each trial."""
-    max_clips: int | None = None
-    """Follow only this many clips, of all kinds of motion."""
-    threads: int = 2
-    """Threads of physics and networks."""
-    seed: int = 0
-    """Of the embedded motions."""

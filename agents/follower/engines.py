@@ -19,6 +19,7 @@ from agents.kinematic.interface import KinematicSystem, UserBody
 from agents.kinematic.physics_behind import BEGINNING_FRAMES, on_own_body
 from agents.policy.policy_agent import PolicyAgent
 from agents.policy.spec import Layout
+from agents.resolve import PHYSICS
 from envs.assist import Assist, checked_bound, headsets
 from envs.config import EnvConfig
 from envs.layout import observation_layout
@@ -151,7 +152,7 @@ class TorqueEngine(Engine):
             raise InputError(
                 f"{agent.name} reads the user's whole body, which no device reports",
                 "Follower",
-                "put a kinematic system before it, e.g. hmdposer+physics",
+                f"name a kinematic system followed by {PHYSICS}",
             )
         self._agent = agent
         self.set_assist(assist_n)

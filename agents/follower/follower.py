@@ -25,7 +25,7 @@ from agents.follower.stance import estimated_pose
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.store import load_system
 from agents.loading import load_agent
-from agents.resolve import ESTIMATE_TRACKER, resolve
+from agents.resolve import DEFAULT_POLICY, ESTIMATE_TRACKER, resolve
 from envs.terrain import Terrain
 from questsim import rotations as rot
 from questsim.avatar_pose import AvatarPose
@@ -47,8 +47,7 @@ class Follower:
     ``calibrate`` once (or give a stature), then ``step`` with every frame.
 
     Args:
-        agent: the name of a shipped policy or system (``questsim``, ``questsim-now``,
-            ``hmdposer``, ``hmdposer+physics``), a checkpoint or run folder, or a loaded one.
+        agent: any name or folder that ``agents.resolve`` accepts, or a loaded agent.
         sensors: name of the sensor set; by default the agent's own.
         height_m: the user's stature, if known.
         assist_n: largest external assisting force in N, see ``envs.assist``; 0 for none.
@@ -66,7 +65,7 @@ class Follower:
 
     def __init__(
         self,
-        agent: str | Path | Agent | KinematicSystem = "questsim",
+        agent: str | Path | Agent | KinematicSystem = DEFAULT_POLICY,
         sensors: str | None = None,
         *,
         height_m: float | None = None,

@@ -14,6 +14,7 @@ import tyro
 
 from agents.follower.calibration import POSES, Calibration
 from agents.follower.follower import Follower
+from agents.resolve import DEFAULT_POLICY, AgentName
 from questsim.avatar_pose import AvatarPose
 from questsim.devices import DeviceFrame
 from questsim.errors import InputError
@@ -36,8 +37,7 @@ class FollowArgs:
 
     file: Annotated[Path, tyro.conf.Positional]
     """The recording: ours (.jsonl.gz), iwer's (.json), or a .csv with --convention."""
-    agent: str = "questsim"
-    """A policy, or a kinematic system, optionally followed by +physics."""
+    agent: AgentName = DEFAULT_POLICY
     sensors: str | None = None
     """Sensor set, e.g. H+2C or H; by default the agent's own."""
     convention: str | None = None

@@ -19,6 +19,7 @@ import tyro
 from agents.follower.calibration import POSES, Calibration
 from agents.follower.follower import Follower
 from agents.headset.session import LiveSession
+from agents.resolve import LIVE_POLICY, AgentName
 from questsim.avatar_pose import AvatarPose
 from questsim.devices import DeviceFrame
 from questsim.errors import InputError, at_least
@@ -34,8 +35,7 @@ ASSIST_N = 100.0
 class LiveArgs:
     """Control the avatar live from a headset, through a page in the headset's browser."""
 
-    agent: str = "questsim-now"
-    """Policy or kinematic system; append +physics to a kinematic system to run it with physics."""
+    agent: AgentName = LIVE_POLICY
     sensors: str | None = None
     """Set of devices, e.g. H+2C or H; by default the agent's own."""
     height: float | None = None

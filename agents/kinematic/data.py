@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from agents.run_folder import amounts
 from questsim import differentiable as diff
 from questsim.errors import InputError
 from questsim.joint_sensors import SENSOR_FPS
@@ -142,10 +142,4 @@ def motions_record(spec: str, motions: Sequence[Motion]) -> dict[str, Any]:
         digest.update(f"{motion.name} {motion.source_sha256} {motion.fps:g}".encode())
         for array in (motion.root_position, motion.rotations, motion.offsets):
             digest.update(array.astype("<f4").tobytes())
-    return {
-        "motions": spec,
-        "clips": len(motions),
-        "seconds": round(sum(motion.duration for motion in motions), 1),
-        "licences": dict(Counter(motion.licence or "not stated" for motion in motions)),
-        "sha256": digest.hexdigest(),
-    }
+    return amounts(spec, motions) | {"sha256": digest.hexdigest()}

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from agents.kinematic.interface import DeviceSignals, KinematicSystem, Poses, UserBody
+from agents.resolve import IK
 from questsim import rotations as rot
 from questsim.body import scaled_spec
 from questsim.motion.checks import stature_of
@@ -99,7 +100,7 @@ class InverseKinematics(KinematicSystem):
         iterations: solver steps per frame.
     """
 
-    name, devices, required = "ik", DEVICES, DEVICES
+    name, devices, required = IK, DEVICES, DEVICES
 
     def __init__(self, iterations: int = ITERATIONS) -> None:
         self.iterations = iterations

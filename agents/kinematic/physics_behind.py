@@ -1,6 +1,6 @@
 """Kinematic system with physics: a tracker's torques make the avatar follow its poses.
 
-The poses are retargeted to the avatar of the user's stature. The shipped ``estimate-tracker``
+The poses are retargeted to the avatar of the user's stature. The policy ``ESTIMATE_TRACKER``
 observes them as its reference; it was trained to follow the true motion in spite of estimation
 errors (``train.py --estimates``). The avatar starts in the user's first state, as in every episode,
 and its motion is compared with the user's. The tracker reads five frames ahead and velocities need

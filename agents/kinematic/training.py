@@ -1,4 +1,4 @@
-"""Training of kinematic systems from the command line: ``train.py --agent hmdposer``."""
+"""Training of kinematic systems from the command line: ``train.py --agent SYSTEM``."""
 
 from __future__ import annotations
 

@@ -25,6 +25,7 @@ from agents.live.watcher import Checkpoint, Watcher, first_checkpoint, load_chec
 from agents.resolve import (
     BASELINES,
     DEFAULT_POLICY,
+    AgentName,
     shipped_policies,
     shipped_systems,
     with_physics,
@@ -70,9 +71,7 @@ class WatchArgs:
 class DemoArgs(WatchArgs):
     """Watch a shipped policy or kinematic system follow a user, in a browser or on video."""
 
-    agent: str = DEFAULT_POLICY
-    """First agent: the name of a shipped policy or kinematic system, a run or checkpoint folder,
-    ik, zero, random, or package.module:Class; or a kinematic system followed by +physics."""
+    agent: AgentName = DEFAULT_POLICY
     motions: str = "synthetic"
     """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
     terrain: str = "rough"

@@ -120,13 +120,7 @@ STUDENT = PolicySpec(
 SHOWN_ESTIMATES = replace(TEACHER, critic_blocks=())
 """A student that follows the estimates of kinematic systems; as large as a teacher."""
 # The critic is used only in training, so it may observe what the actor cannot.
-FINETUNED = PolicySpec(
-    actor_blocks=SPARSE_BLOCKS,
-    critic_blocks=(*SPARSE_BLOCKS, "privileged"),
-    hidden=STUDENT.hidden,
-    activation="elu",
-    balance="feet",
-)
+FINETUNED = replace(STUDENT, critic_blocks=(*SPARSE_BLOCKS, "privileged"))
 
 TRACKING_REWARD = RewardConfig(
     joint_angles=0.2,
@@ -225,14 +219,7 @@ SMOKE = Preset(
     stages={
         "teacher": StageConfig(
             share=0.6,
-            policy=PolicySpec(
-                actor_blocks=TRACKER_BLOCKS,
-                critic_blocks=TRACKER_BLOCKS,
-                hidden=(128, 128),
-                activation="elu",
-                reference_head=True,
-                balance="reference",
-            ),
+            policy=replace(TEACHER, hidden=(128, 128)),
             # Few samples an update: small steps, or noise undoes what the head does.
             learning=PPOConfig(
                 minibatch=256,
@@ -246,9 +233,7 @@ SMOKE = Preset(
         ),
         "student": StageConfig(
             share=0.4,
-            policy=PolicySpec(
-                critic_blocks=(), hidden=(128, 128), activation="elu", balance="feet"
-            ),
+            policy=replace(STUDENT, hidden=(128, 128)),
             learning=DaggerConfig(minibatch=512, capacity=60_000, mix_steps=20_000),
             steps=50_000,
             evaluate_every=25_000,

@@ -108,7 +108,7 @@ class DragPoser(KinematicSystem):
     def __init__(
         self,
         module: DragPoserModule,
-        name: str = "dragposer",
+        name: str = "DragPoser",
         iterations: int | None = None,
         solver: str | None = None,
         predictor: bool = True,

@@ -33,40 +33,47 @@ def _system(
     return RecurrentPoser(module, name)
 
 
-HMDPOSER = Entry(
+def _entry(
+    title: str, paper: Config, cpu: Any, smoke: Any, variants: tuple[Variant, ...], paper_ms: float
+) -> Entry:
+    """An entry; ``cpu`` and ``smoke`` are the specs of these presets."""
+    presets = {
+        "paper": paper,
+        "cpu": Config(cpu, {"network": CPU}),
+        "smoke": Config(smoke, {"network": replace(SMOKE, window=18)}, validation=12),
+    }
+    return Entry(
+        title,
+        _SETS,
+        presets,
+        RecurrentModule,
+        make_task,
+        _system,
+        scenarios=SCENARIOS,
+        figures=HEADS_ALIGNED,
+        variants=variants,
+        ablated_in=_ABLATED_IN,
+        paper_ms=paper_ms,
+    )
+
+
+HMDPOSER = _entry(
     "HMD-Poser (Dai et al., CVPR 2024)",
-    _SETS,
-    {
-        "paper": Config(
-            HmdPoserSpec(),
-            {
-                "network": Learning(
-                    optimiser="adam",
-                    schedule="step",
-                    final_rate=0.1,
-                    batch=256,
-                    window=42,
-                    clip=None,
-                )
-            },
-        ),
-        "cpu": Config(
-            HmdPoserSpec(
-                size=96, layers=1, heads=4, feed_forward=256, head_hidden=192, dropout=0.0
-            ),
-            {"network": CPU},
-        ),
-        "smoke": Config(
-            HmdPoserSpec(size=32, blocks=1, layers=1, heads=4, feed_forward=32, head_hidden=32),
-            {"network": replace(SMOKE, window=18)},
-            validation=12,
-        ),
-    },
-    RecurrentModule,
-    make_task,
-    _system,
-    scenarios=SCENARIOS,
-    figures=HEADS_ALIGNED,
+    paper=Config(
+        HmdPoserSpec(),
+        {
+            "network": Learning(
+                optimiser="adam",
+                schedule="step",
+                final_rate=0.1,
+                batch=256,
+                window=42,
+                clip=None,
+            )
+        },
+    ),
+    cpu=HmdPoserSpec(size=96, layers=1, heads=4, feed_forward=256, head_hidden=192, dropout=0.0),
+    smoke=HmdPoserSpec(size=32, blocks=1, layers=1, heads=4, feed_forward=32, head_hidden=32),
     variants=(
         Variant(
             "no-hands-in-head",
@@ -79,33 +86,17 @@ HMDPOSER = Entry(
             set=("spec.shape_head=false",),
         ),
     ),
-    ablated_in=_ABLATED_IN,
     paper_ms=17.0,
 )
 
-LGSIK = Entry(
+LGSIK = _entry(
     "LGSIK-Poser (2025)",
-    _SETS,
-    {
-        "paper": Config(
-            LgsikSpec(),
-            {"network": Learning(schedule="plateau", final_rate=0.1, window=42, clip=None)},
-        ),
-        "cpu": Config(
-            LgsikSpec(size=64, hidden=(256, 128), shape_hidden=128),
-            {"network": CPU},
-        ),
-        "smoke": Config(
-            LgsikSpec(size=16, hidden=(32, 32), shape_hidden=16),
-            {"network": replace(SMOKE, window=18)},
-            validation=12,
-        ),
-    },
-    RecurrentModule,
-    make_task,
-    _system,
-    scenarios=SCENARIOS,
-    figures=HEADS_ALIGNED,
+    paper=Config(
+        LgsikSpec(),
+        {"network": Learning(schedule="plateau", final_rate=0.1, window=42, clip=None)},
+    ),
+    cpu=LgsikSpec(size=64, hidden=(256, 128), shape_hidden=128),
+    smoke=LgsikSpec(size=16, hidden=(32, 32), shape_hidden=16),
     variants=(
         Variant(
             "no-graph",
@@ -128,6 +119,5 @@ LGSIK = Entry(
             set=("spec.loss=hmdposer",),
         ),
     ),
-    ablated_in=_ABLATED_IN,
     paper_ms=8.0,
 )

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor, nn
 
 from agents.kinematic.data import MotionBank, Windows
-from agents.kinematic.dragposer.assembly import assembled
 from agents.kinematic.interface import DeviceSignals, KinematicSystem, Poses, UserBody
 from agents.kinematic.learning import Learning, Task
+from agents.kinematic.recurrent.assembly import assembled
 from agents.kinematic.recurrent.features import DEVICES, HEAD, SENSOR_JOINTS, features
 from agents.kinematic.recurrent.hmdposer import HmdPoserNet, HmdPoserSpec
 from agents.kinematic.recurrent.lgsik import SHAPE_INPUTS, LgsikNet, LgsikSpec

@@ -20,6 +20,7 @@ SCENARIOS = (
     Scenario("6", _SIX),
     Scenario("6, 7 frames late", _SIX, options=(("future_frames", 7),)),
 )
+_PAPER = Learning(learning_rate=1e-4, final_rate=1.0, batch=256, window=64, clip=None)
 
 
 def _system(
@@ -37,23 +38,8 @@ SPARSEPOSER = Entry(
         "paper": Config(
             SparsePoserSpec(),
             {
-                "generator": Learning(
-                    share=0.8,
-                    learning_rate=1e-4,
-                    final_rate=1.0,
-                    batch=256,
-                    window=64,
-                    clip=None,
-                ),
-                "ik": Learning(
-                    share=0.2,
-                    learning_rate=1e-4,
-                    final_rate=1.0,
-                    batch=256,
-                    window=64,
-                    clip=None,
-                    weights=WEIGHTS,
-                ),
+                "generator": replace(_PAPER, share=0.8),
+                "ik": replace(_PAPER, share=0.2, weights=WEIGHTS),
             },
         ),
         "cpu": Config(

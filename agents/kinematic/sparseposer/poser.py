@@ -327,7 +327,7 @@ class SparsePoser(KinematicSystem):
     def __init__(
         self,
         module: SparsePoserModule,
-        name: str = "sparseposer",
+        name: str = "SparsePoser",
         future_frames: int = 0,
         learned_ik: bool = True,
     ) -> None:
