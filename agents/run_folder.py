@@ -223,6 +223,8 @@ def check_same_run(
     for name, value in plain(args).items():
         # Records older than an option lack it.
         before = record["args"].get(name, defaults[name])
+        if isinstance(before, dict) and isinstance(defaults[name], dict):
+            before = defaults[name] | before
         if name not in may_differ and value != before:
             option = "--" + name.replace("_", "-")
             raise InputError(f"{option} was {before}, not {value}", out / RECORD, "use it again")

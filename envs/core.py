@@ -20,7 +20,7 @@ from envs import footing, kernels
 from envs.actions import checked_actions
 from envs.config import EnvConfig
 from envs.episode_random import Seeds, Streams
-from envs.footed_clip import footed_clip
+from envs.footed_clip import footed_clip, joined
 from envs.kernel_arguments import (
     Devices,
     Episodes,
@@ -193,7 +193,12 @@ class BatchSim:
             reference.poses,
             reference.rows,
             Devices(
-                reference.dev_position, reference.dev_quat, signals.late, signals.newest, frames
+                reference.dev_position,
+                reference.dev_quat,
+                signals.late,
+                signals.newest,
+                frames,
+                self._around.faults.poses,
             ),
             Target.of(self.num_envs, len(self._ahead)),
             np.zeros((self.num_envs, observation_size(self.layout)), np.float32),
@@ -285,8 +290,14 @@ class BatchSim:
             clip: the clip that it plays. The reference is this clip, scaled, moved to its place,
                 with its feet adapted to the ground there.
         """
-        scaled = clip.scaled(float(self.heights[i]))
-        return footed_clip(scaled, self.placement.place[i], self.placement.field)
+        scaled, place = clip.scaled(float(self.heights[i])), self.placement
+        placed = footed_clip(scaled, place.place[i], place.field)
+        faults = self._around.faults
+        if not faults.jumped[i]:
+            return placed
+        # The frame of the jump still belongs to the old place.
+        first = int(self._first[i] + faults.jump[i]) + 1
+        return joined(footed_clip(scaled, faults.before[i], place.field), placed, first)
 
     @property
     def foot_clearance(self) -> np.ndarray:
@@ -431,11 +442,24 @@ class BatchSim:
         np.logical_or(self.error > self.config.max_error_m, self.unstable, out=self.fell)
         np.logical_and(self.frame >= self._end - 1, ~self.fell, out=self.ended)
         self.signals.advance(self.frame + self.config.frame_offsets[-1] - self.signals.late)
+        self._recentre()
         self._observe(self._all)
         if self.unstable.any():
             for view in self._views:
                 broken = view.observation[self.unstable]
                 view.observation[self.unstable] = np.nan_to_num(broken, posinf=0.0, neginf=0.0)
+
+    def _recentre(self) -> None:
+        """Move the users that jump in this frame; its score is still of the old place."""
+        randomisation = self.config.randomisation
+        if randomisation is None or not randomisation.recentres:
+            return
+        since = self.frame - self.reference.start[self.clip] - self._first
+        running = self.frame < self._end - 1
+        root = self._views[0].target.position[:, 0, 0, :2]
+        ids = self._around.faults.recentre(np.where(running, since, -1), self.placement.place, root)
+        if len(ids):
+            self._run(self._target_chunk, [(0, len(ids))], ids)
 
     def record_ended(self, ids: np.ndarray) -> None:
         """Tell the sampler how the episodes of ``ids`` ended; call before their ``reset``."""

@@ -9,11 +9,20 @@ import numpy as np
 from envs.footing import fill, legs
 from envs.footsteps import footsteps_of
 from envs.kernel_arguments import Episodes, ReferencePoses, Target, ground_of
-from envs.placement import turn_quat, turned
+from envs.placement import moved, turn_quat, turned
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.heightfield import HeightField
 from questsim.motion.clip import Clip
+
+_ARRAYS = (
+    "qpos",
+    "qvel",
+    "link_position",
+    "link_quat",
+    "link_velocity",
+    "link_angular_velocity",
+)
 
 
 def footed_clip(clip: Clip, place: np.ndarray, field: HeightField | None) -> Clip:
@@ -25,7 +34,7 @@ def footed_clip(clip: Clip, place: np.ndarray, field: HeightField | None) -> Cli
         field: the ground, None for a plane.
     """
     if field is None:
-        return clip
+        return _turned_clip(clip, place)
     frames = len(clip)
     common = clip.scaled(DEFAULT_HEIGHT_M)
     target, rows = Target.of(frames, 1), np.arange(frames)
@@ -61,3 +70,37 @@ def footed_clip(clip: Clip, place: np.ndarray, field: HeightField | None) -> Cli
         link_velocity=velocity,
         link_angular_velocity=turned(many, clip.link_angular_velocity),
     )
+
+
+def _turned_clip(clip: Clip, place: np.ndarray) -> Clip:
+    """Move and turn a clip on a plane."""
+    if tuple(place) == (0.0, 0.0, 1.0, 0.0):
+        return clip
+    many = np.broadcast_to(place, (len(clip), 4))
+    turn = turn_quat(many)
+    qpos, qvel = clip.qpos.copy(), clip.qvel.copy()
+    qpos[:, :3], qvel[:, :3] = moved(many, clip.qpos[:, :3]), turned(many, clip.qvel[:, :3])
+    qpos[:, 3:7] = rot.quat_multiply(turn, clip.qpos[:, 3:7])
+    return replace(
+        clip,
+        qpos=qpos,
+        qvel=qvel,
+        link_position=moved(many, clip.link_position),
+        link_quat=rot.quat_multiply(turn[:, None], clip.link_quat),
+        link_velocity=turned(many, clip.link_velocity),
+        link_angular_velocity=turned(many, clip.link_angular_velocity),
+    )
+
+
+def joined(before: Clip, after: Clip, first: int) -> Clip:
+    """A clip whose frames are those of ``before``, and from frame ``first`` on of ``after``."""
+    frames = np.arange(len(before)) < first
+    arrays = {
+        name: np.where(
+            frames.reshape(-1, *[1] * (getattr(before, name).ndim - 1)),
+            getattr(before, name),
+            getattr(after, name),
+        )
+        for name in _ARRAYS
+    }
+    return replace(before, **arrays)

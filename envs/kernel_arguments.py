@@ -104,6 +104,23 @@ class Target(NamedTuple):
         )
 
 
+class PoseFaults(NamedTuple):
+    """Noise and mounting errors of ``D`` devices in ``n`` simulations; empty without errors.
+
+    Attributes:
+        key: ``(n,)`` uint64, of the episode's noise.
+        std: ``(n, 2)`` standard deviation of each coordinate in metres, and of each component of
+            the rotation vector in rad.
+        mount_offset: ``(n, D, 3)`` displacement in the device's frame, metres.
+        mount_quat: ``(n, D, 4)`` rotation from the nominal mount, in the device's frame.
+    """
+
+    key: np.ndarray
+    std: np.ndarray
+    mount_offset: np.ndarray
+    mount_quat: np.ndarray
+
+
 class Devices(NamedTuple):
     """Reported poses of ``D`` devices.
 
@@ -112,6 +129,7 @@ class Devices(NamedTuple):
         late: ``(n,)`` latency in frames.
         newest: ``(n, D)`` the newest row that each device has delivered.
         offsets: ``(k,)`` frames ahead of each block of o_user.
+        faults: errors of the reported poses.
     """
 
     position: np.ndarray
@@ -119,6 +137,7 @@ class Devices(NamedTuple):
     late: np.ndarray
     newest: np.ndarray
     offsets: np.ndarray
+    faults: PoseFaults
 
 
 class Privileged(NamedTuple):

@@ -25,6 +25,11 @@ from envs.kernel_arguments import (
 from envs.lookups import ground_at, heading, height_at, placed, turned, unplaced
 from questsim.compiled import jit, turn_back
 
+# Constants of SplitMix64, see ``envs.episode_random``.
+_STEP = np.uint64(0x9E3779B97F4A7C15)
+_FIRST, _SECOND = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_LANE = np.uint64(0xFFFF)
+
 
 @jit
 def _columns(c, s, w, x, y, z, out, at):
@@ -44,6 +49,69 @@ def _turn_between(c, s, p, q, out, at):
         two * (p[0] * q[2] - p[2] * q[0] - p[1] * q[3] + p[3] * q[1]),
         two * (p[0] * q[3] - p[3] * q[0] - p[2] * q[1] + p[1] * q[2]),
         out, at,
+    )  # fmt: skip
+
+
+@jit
+def _noise(key, number):
+    """A number of mean 0 and variance 1 that depends on key and number only.
+
+    The sum of four uniform numbers, which is nearly normal, from one SplitMix64 output.
+    """
+    bits = key + np.uint64(number + 1) * _STEP
+    bits = (bits ^ (bits >> np.uint64(30))) * _FIRST
+    bits = (bits ^ (bits >> np.uint64(27))) * _SECOND
+    bits ^= bits >> np.uint64(31)
+    total = np.uint64(0)
+    for _ in range(4):
+        total += bits & _LANE
+        bits >>= np.uint64(16)
+    return (float(total) - 131070.0) * (math.sqrt(3.0) / 65536.0)
+
+
+@jit
+def _product(p, q):
+    """Product of two quaternions."""
+    return (
+        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
+        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
+        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
+        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
+    )
+
+
+@jit
+def _faulty_device(devices, i, d, row, frame, scale, place, view, out, at):
+    """Write the pose of device ``d`` of a row, with noise and mounting errors, to out[at:at + 9].
+
+    A pose has the same noise whenever it is shown: it depends on the episode's key, on ``frame``,
+    the row counted from the clip's first, and on the device.
+    """
+    c, s, clip_c, clip_s, root_x, root_y = view
+    faults = devices.faults
+    number = 6 * (frame * devices.quat.shape[1] + d)
+    key, std_m, std_rad = faults.key[i], faults.std[i, 0], faults.std[i, 1]
+    own = devices.quat[row, d]
+    quat = (float(own[0]), float(own[1]), float(own[2]), float(own[3]))
+    offset, mount = faults.mount_offset[i, d], faults.mount_quat[i, d]
+    arm = _product(
+        _product(quat, (0.0, offset[0], offset[1], offset[2])),
+        (quat[0], -quat[1], -quat[2], -quat[3]),
+    )
+    x = devices.position[row, d, 0] * scale + arm[1] + std_m * _noise(key, number)
+    y = devices.position[row, d, 1] * scale + arm[2] + std_m * _noise(key, number + 1)
+    z = devices.position[row, d, 2] * scale + arm[3] + std_m * _noise(key, number + 2)
+    half_x = 0.5 * std_rad * _noise(key, number + 3)
+    half_y = 0.5 * std_rad * _noise(key, number + 4)
+    half_z = 0.5 * std_rad * _noise(key, number + 5)
+    length = math.sqrt(1.0 + half_x * half_x + half_y * half_y + half_z * half_z)
+    noise = (1.0 / length, half_x / length, half_y / length, half_z / length)
+    turned_quat = _product(noise, _product(quat, (mount[0], mount[1], mount[2], mount[3])))
+    x, y = placed(place, x, y)
+    turn_back(c, s, x - root_x, y - root_y, z, out, at)
+    _columns(
+        clip_c, clip_s, turned_quat[0], turned_quat[1], turned_quat[2], turned_quat[3], out,
+        at + 3,
     )  # fmt: skip
 
 
@@ -116,10 +184,19 @@ def observe(
             turn_back(c, s, force[i, foot, 0], force[i, foot, 1], force[i, foot, 2], out, at)
             at += 3
         scale = episodes.ratio[i]
+        faulty = devices.faults.key.shape[0] > 0
         for k in range(devices.offsets.shape[0]):
             shown = max(min(frame[i] + devices.offsets[k] - devices.late[i], end[i] - 1), begin[i])
             for d in range(count):
-                row = min(shown, devices.newest[i, d])
+                # With latency, a dropout at the start would end before the clip's first row.
+                row = max(min(shown, devices.newest[i, d]), begin[i])
+                if faulty:
+                    _faulty_device(
+                        devices, i, d, row, row - begin[i], scale, place[i],
+                        (c, s, clip_c, clip_s, root_x, root_y), out, at,
+                    )  # fmt: skip
+                    at += 9
+                    continue
                 x, y = placed(
                     place[i],
                     dev_position[row, d, 0] * scale,

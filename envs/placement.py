@@ -76,6 +76,7 @@ class Placement:
         """Draw places for simulations ``ids``, which begin to play ``clips``."""
         terrain, field = self._terrain, self.field
         if terrain is None or field is None:
+            self.place[ids] = 0.0, 0.0, 1.0, 0.0
             return
         numbers = self._random.draw(ids, clips, 5)
         if terrain.direction == "any":

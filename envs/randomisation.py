@@ -7,16 +7,14 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from envs.episode_random import Seeds, Streams, within
+from envs.episode_random import within
 from envs.pushes import check_range
 from questsim.skeleton import NUM_LINKS
-
-NEVER = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True)
 class Randomisation:
-    """Ranges of the random values; each simulation of a batch draws once.
+    """Ranges of the random values. Each simulation of a batch draws once, mounts every episode.
 
     Attributes:
         friction: factor on the friction of avatar and floor.
@@ -24,6 +22,15 @@ class Randomisation:
         latency_frames: latency of the devices in whole frames.
         dropout: probability per frame that a dropout of a device begins.
         dropout_frames: duration of a dropout; the device then repeats its last pose.
+        latency_jitter_frames: greatest additional latency of a frame, drawn for every frame.
+        noise_m: standard deviation of white noise on every coordinate of the devices.
+        noise_rad: standard deviation of a white rotation vector.
+        mount_m: distance of each device from its nominal mount, constant in an episode.
+        mount_rad: angle of each device from its nominal mount, constant in an episode.
+        recentre_m: horizontal distance by which the user jumps once in an episode, as when a
+            headset is recentred. Devices and reference jump together.
+        recentre_rad: angle by which the user turns in that jump, to either side.
+        recentre_s: time of the jump after the start of the episode.
 
     Raises:
         InputError: an invalid range.
@@ -34,14 +41,30 @@ class Randomisation:
     latency_frames: tuple[int, int] = (0, 0)
     dropout: tuple[float, float] = (0.0, 0.0)
     dropout_frames: tuple[int, int] = (4, 18)
+    latency_jitter_frames: tuple[int, int] = (0, 0)
+    noise_m: tuple[float, float] = (0.0, 0.0)
+    noise_rad: tuple[float, float] = (0.0, 0.0)
+    mount_m: tuple[float, float] = (0.0, 0.0)
+    mount_rad: tuple[float, float] = (0.0, 0.0)
+    recentre_m: tuple[float, float] = (0.0, 0.0)
+    recentre_rad: tuple[float, float] = (0.0, 0.0)
+    recentre_s: tuple[float, float] = (1.0, 8.0)
 
     def __post_init__(self) -> None:
         for name, least, most in (
             ("friction", 0.05, 5.0),
             ("mass", 0.5, 2.0),
             ("latency_frames", 0, 36),
+            ("latency_jitter_frames", 0, 36),
             ("dropout", 0.0, 1.0),
             ("dropout_frames", 1, 360),
+            ("noise_m", 0.0, 0.5),
+            ("noise_rad", 0.0, np.pi),
+            ("mount_m", 0.0, 0.5),
+            ("mount_rad", 0.0, np.pi),
+            ("recentre_m", 0.0, 5.0),
+            ("recentre_rad", 0.0, np.pi),
+            ("recentre_s", 0.0, 3600.0),
         ):
             check_range(name, getattr(self, name), least, most, "randomisation")
 
@@ -49,6 +72,28 @@ class Randomisation:
     def of_bodies(self) -> bool:
         """Whether simulations need models of their own."""
         return self.friction != (1.0, 1.0) or self.mass != (1.0, 1.0)
+
+    @property
+    def of_poses(self) -> bool:
+        """Whether reported poses have noise or mounting errors."""
+        return max(*self.noise_m, *self.noise_rad, *self.mount_m, *self.mount_rad) > 0.0
+
+    @property
+    def recentres(self) -> bool:
+        """Whether users jump."""
+        return max(*self.recentre_m, *self.recentre_rad) > 0.0
+
+
+REAL_DEVICES = Randomisation(
+    latency_jitter_frames=(2, 2),
+    dropout=(0.005, 0.005),
+    dropout_frames=(4, 18),
+    noise_m=(0.005, 0.005),
+    noise_rad=(float(np.radians(1.0)), float(np.radians(1.0))),
+    mount_m=(0.0, 0.03),
+    mount_rad=(0.0, float(np.radians(10.0))),
+)
+"""Carelessly worn headsets and controllers with poor tracking and a jittery connection."""
 
 
 def varied_models(
@@ -67,63 +112,3 @@ def varied_models(
         mujoco.mj_setConst(own, mujoco.MjData(own))
         varied.append(own)
     return varied
-
-
-class SignalFaults:
-    """Latency and dropout of the devices of each simulation.
-
-    Args:
-        options: ranges; None for perfect devices.
-        n, devices: number of simulations, and of devices in each.
-        seed: random seed.
-
-    Attributes:
-        late: ``(n,)`` latency in frames.
-        newest: ``(n, devices)`` the newest row of the reference that a device has delivered.
-    """
-
-    def __init__(self, options: Randomisation | None, n: int, devices: int, seed: int) -> None:
-        self._options = options or Randomisation()
-        numbers = np.random.default_rng([seed, 11]).random((n, 2))
-        self._streams, self._all = Streams(n, seed, 11), np.arange(n)
-        low, high = self._options.latency_frames
-        self.late = np.minimum((low + (high - low + 1) * numbers[:, 0]).astype(np.int64), high)
-        self.dropout = within(numbers[:, 1], self._options.dropout)
-        self.newest = np.full((n, devices), NEVER)
-        self._until = np.zeros((n, devices), np.int64)
-
-    def begin(self, ids: np.ndarray) -> None:
-        """End the dropouts of simulations ``ids``."""
-        self.newest[ids], self._until[ids] = NEVER, 0
-
-    def advance(self, newest: np.ndarray) -> None:
-        """Advance one frame; ``newest`` ``(n,)`` is the newest row without dropouts."""
-        if not self.dropout.any():
-            return
-        self._until = np.maximum(self._until - 1, 0)
-        self.newest[self._until == 0] = NEVER
-        n, devices = self.newest.shape
-        numbers = self._streams.draw(self._all, 2 * devices).reshape(n, 2, devices)
-        falls = (numbers[:, 0] < self.dropout[:, None]) & (self._until == 0)
-        low, high = self._options.dropout_frames
-        frames = (low + (high - low + 1) * numbers[:, 1]).astype(np.int64)
-        self._until = np.where(falls, np.minimum(frames, high), self._until)
-        shown = np.broadcast_to(newest[:, None] - 1, self.newest.shape)
-        self.newest[falls] = shown[falls]
-
-    def seed(self, seeds: Seeds) -> None:
-        """Seed the random streams of dropouts; latencies and probabilities stay."""
-        self._streams.seed(seeds)
-
-    def get_state(self) -> dict[str, object]:
-        """State that determines later signals."""
-        return {
-            "rng": self._streams.get_state(),
-            "newest": self.newest.copy(),
-            "until": self._until.copy(),
-        }
-
-    def set_state(self, state: dict) -> None:
-        """Restore the result of ``get_state``."""
-        self._streams.set_state(state["rng"])
-        self.newest[:], self._until[:] = state["newest"], state["until"]

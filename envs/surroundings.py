@@ -8,11 +8,11 @@ import numpy as np
 from mujoco import batch as mujoco_batch
 
 from envs.config import EnvConfig
+from envs.device_faults import DeviceFaults, SignalFaults
 from envs.episode_random import EpisodeRandom, Seeds
 from envs.object_places import Objects
 from envs.placement import Placement
 from envs.pushes import Pusher
-from envs.randomisation import SignalFaults
 from envs.reference import Reference
 from envs.starts import Beginnings
 from questsim.body import DEFAULT_HEIGHT_M, build_body
@@ -34,6 +34,7 @@ class Surroundings:
         pusher: forces on the avatars.
         objects: poses of the objects, and the avatar's force on each.
         signals: latency and dropout of each device.
+        faults: noise and mounting errors of the devices, and recentring.
         starts: initial states of episodes.
     """
 
@@ -60,6 +61,14 @@ class Surroundings:
         )
         devices = reference.dev_position.shape[1]
         self.signals = SignalFaults(config.randomisation, len(ratio), devices, seed)
+        self.faults = DeviceFaults(
+            config.randomisation,
+            EpisodeRandom(names, len(ratio), seed, 5, fixed),
+            len(ratio),
+            devices,
+            seed,
+        )
+        self._offset = config.frame_offsets[-1]
         self.starts = Beginnings(
             config.starts,
             EpisodeRandom(names, len(ratio), seed, 4, fixed),
@@ -71,7 +80,8 @@ class Surroundings:
         """Begin episodes ``ids`` at ``rows`` of ``clips``; their places are already drawn."""
         self.pusher.begin(ids, clips)
         self.objects.place(ids, rows, clips, self._reference, self.placement, self._ratio)
-        self.signals.begin(ids)
+        self.signals.begin(ids, rows + self._offset - self.signals.late[ids])
+        self.faults.begin(ids, clips)
 
     def _parts(self) -> dict[str, Any]:
         return {
@@ -79,11 +89,12 @@ class Surroundings:
             "pusher": self.pusher,
             "objects": self.objects,
             "signals": self.signals,
+            "faults": self.faults,
             "starts": self.starts,
         }
 
     def seed(self, seeds: Seeds) -> None:
-        """Seed the random streams of places, pushes, objects, starts and dropouts."""
+        """Seed the random streams of places, pushes, objects, starts and devices."""
         for part in self._parts().values():
             part.seed(seeds)
 
@@ -94,5 +105,5 @@ class Surroundings:
     def set_state(self, state: dict[str, Any]) -> None:
         """Restore the result of ``get_state``."""
         for name, part in self._parts().items():
-            if name in state:  # earlier versions had no starts
+            if name in state:  # earlier versions had no starts and faults
                 part.set_state(state[name])

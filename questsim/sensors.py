@@ -190,14 +190,3 @@ class SensorNoise:
             if frame <= silent_until:
                 shown[frame] = shown[frame - 1]
         return shown
-
-
-REAL_DEVICES = SensorNoise(
-    position_std_m=0.005,
-    rotation_std_rad=np.radians(1.0),
-    dropout=0.005,
-    dropout_frames=18,
-    mount_m=0.03,
-    mount_rad=np.radians(10.0),
-)
-"""Noise of carelessly worn headsets and controllers with poor tracking."""

@@ -21,13 +21,13 @@ from agents.loading import load_agent
 from agents.resolve import ESTIMATE_TRACKER, Resolved, resolve
 from envs.config import EnvConfig
 from envs.objects import objects_named
+from envs.randomisation import REAL_DEVICES
 from envs.starts import Starts
 from envs.terrain import terrain_named
 from questsim.errors import InputError, at_least
 from questsim.evaluation_report import check_writable
 from questsim.exporting.formats import check_format
 from questsim.modes import Mode, Modes
-from questsim.sensors import REAL_DEVICES
 
 if TYPE_CHECKING:
     from agents.comparison.scenarios import Scenario
@@ -100,7 +100,7 @@ def _config_of(args: EvaluateArgs, config: EnvConfig) -> EnvConfig:
     if args.objects:
         config = replace(config, objects=objects_named(args.objects, "--objects"))
     if args.noise:
-        config = replace(config, noise=REAL_DEVICES)
+        config = replace(config, randomisation=REAL_DEVICES)
     return replace(config, starts=_STARTS[args.begin])
 
 

@@ -45,7 +45,7 @@ class EvaluateArgs(_FollowArgs):
     standing upright at the user's position, at rest."""
     noise: bool = False
     """Simulate real devices: noise of 5 mm and 1 degree, mounting errors up to 3 cm and 10 degrees,
-    dropouts of up to half a second every few seconds."""
+    latency jitter up to 2 frames, dropouts of up to half a second every few seconds."""
     sensors: str | None = None
     """Sensor set of a kinematic system by name, e.g. H+2C or 6T; by default the set of its first
     comparison scenario."""
