@@ -19,6 +19,7 @@ from filelock import FileLock, Timeout
 
 from agents.precision import native_bfloat16
 from questsim.errors import InputError
+from questsim.extensions import extension_versions
 from questsim.files import read_yaml, recover_folder, whole_file
 from questsim.motion.clip import Clip
 from questsim.motion.motion import Motion
@@ -50,7 +51,7 @@ def amounts(spec: str, data: Sequence[Clip] | Sequence[Motion]) -> dict[str, Any
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python, this package and its numerical libraries."""
+    """Versions of Python, this package, its numerical libraries and the loaded extensions."""
     found = {"python": platform.python_version()}
     for package in ("questsim", *PACKAGES):
         try:
@@ -60,6 +61,8 @@ def versions() -> dict[str, str]:
     # With the same versions, the same seed gives the same bits.
     found["processor"] = torch.backends.cpu.get_cpu_capability()
     found["bfloat16"] = "native" if native_bfloat16() else "not native"
+    for module, version in extension_versions().items():
+        found[f"extension {module}"] = version
     return found
 
 

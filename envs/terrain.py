@@ -10,7 +10,7 @@ import numpy as np
 
 from envs.terrain_kinds import SHAPES, Shape
 from questsim.errors import InputError
-from questsim.extensions import same_source
+from questsim.extensions import load_extensions, same_source
 from questsim.heightfield import HeightField
 
 COURSE = "course"
@@ -88,8 +88,8 @@ class Terrain:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        _find_shapes(self.kind, *(tile.partition(":")[0] for tile in self.tiles))
         for what, value, known in (
-            # Looked up here, since extensions may add shapes later.
             ("kind", self.kind, (*SHAPES, COURSE)),
             ("direction", self.direction, DIRECTIONS),
             *(("tile", tile.partition(":")[0], tuple(SHAPES)) for tile in self.tiles),
@@ -147,6 +147,12 @@ class Terrain:
         return ("flat", "flat", *self.tiles) if self.flat_share > 0.0 else self.tiles
 
 
+def _find_shapes(*kinds: str) -> None:
+    """Import the extensions if a kind is unknown."""
+    if not {*kinds} <= {*SHAPES, COURSE}:
+        load_extensions()
+
+
 TERRAINS: dict[str, Terrain] = {
     **{kind: Terrain(kind) for kind in SHAPES},
     "waves": Terrain("waves", amplitude_m=0.1, wavelength_m=2.0),
@@ -169,6 +175,8 @@ def terrain_named(text: str, where: str = "terrain") -> Terrain:
         InputError: an unknown terrain or option, or a value out of range.
     """
     name, _, options = text.partition(":")
+    if name not in TERRAINS:
+        load_extensions()
     if name not in TERRAINS:
         raise InputError(f"unknown terrain {name!r}", where, f"choose from {', '.join(TERRAINS)}")
     known = {field.name: type(getattr(TERRAINS[name], field.name)) for field in fields(Terrain)}
@@ -233,6 +241,7 @@ def _shape(
     terrain: Terrain, x: np.ndarray, y: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Heights, and the heights with gaps cut in, if there are any."""
+    _find_shapes(terrain.kind)  # a terrain that comes from another process
     height = SHAPES[terrain.kind](terrain, x, y, rng)
     return (np.zeros_like(height), height) if terrain.kind == "gaps" else (height, None)
 

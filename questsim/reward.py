@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 
 from questsim.errors import InputError
-from questsim.extensions import same_source
+from questsim.extensions import load_extensions, same_source
 
 
 class Moment(NamedTuple):
@@ -182,11 +182,17 @@ class RewardConfig:
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]] = _options()
 
     def __init__(self, **options: float) -> None:
+        if not options.keys() <= self.__dataclass_fields__.keys():
+            load_extensions()
         for name in options:
             if name not in self.__dataclass_fields__:
                 known = ", ".join(TERMS)
                 raise InputError(f"there is no reward term {name!r}", "reward", f"known: {known}")
         self.__dict__.update(options)
+
+    def __setstate__(self, state: dict[str, float]) -> None:
+        # In another process the extension with a term may not be loaded yet.
+        RewardConfig.__init__(self, **state)
 
     if TYPE_CHECKING:
 

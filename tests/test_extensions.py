@@ -5,18 +5,23 @@ from __future__ import annotations
 import csv
 import gzip
 import hashlib
+import importlib
+import pickle
 import sys
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import pytest
 import yaml
 
 from agents.kinematic import registry
+from agents.run_folder import versions
 from envs import terrain, terrain_kinds
-from questsim import reward
+from questsim import extensions, reward
 from questsim.cli import main
 from questsim.errors import InputError
 from questsim.extensions import load_extensions
@@ -82,6 +87,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     del families.FAMILIES[families._OWN :]
     reward.RewardConfig.__dataclass_fields__ = reward._options()
     datasets.manifest.cache_clear()
+    extensions._imported.clear()
     sys.modules.pop("outside_questsim", None)
 
 
@@ -109,6 +115,43 @@ def test_a_terrain_and_a_reward_term_are_trained_on(package: Path, capsys) -> No
     with (package / "run" / "teacher" / "tensorboard" / "progress-1.csv").open() as file:
         curve = [row["reward/outside_energy"] for row in csv.DictReader(file)]
     assert any(float(value) < 0.0 for value in curve if value)
+    assert record["versions"]["extension outside_questsim"] == "1.0"
+
+
+def test_gym_make_finds_a_terrain_and_a_reward_term_without_the_command_line(package: Path) -> None:
+    options = {"terrain": "dune:amplitude_m=0.02", "reward": {"outside_energy": 0.1}}
+    env = gym.make("envs:QuestSim-v0", motions="synthetic:stand", **options)
+    env.reset(seed=0)
+    *_, info = env.step(env.action_space.sample())
+    assert "outside_energy" in str(info)
+    config = env.unwrapped.sim.config  # type: ignore[attr-defined]
+    assert config.terrain == replace(terrain.TERRAINS["dune"], amplitude_m=0.02)
+
+
+def test_a_reward_term_in_another_process_is_found_or_refused(package: Path) -> None:
+    load_extensions()
+    sent = pickle.dumps(reward.RewardConfig(outside_energy=0.5))
+    forget_term()
+    assert "outside_energy" in pickle.loads(sent).terms
+    forget_term()
+    (package / "outside-1.0.dist-info" / "entry_points.txt").unlink()
+    importlib.invalidate_caches()
+    with pytest.raises(InputError, match="outside_energy"):
+        pickle.loads(sent)
+
+
+def forget_term() -> None:
+    """As in a process that has not loaded the extension."""
+    del reward.TERMS["outside_energy"], sys.modules["outside_questsim"]
+    reward.RewardConfig.__dataclass_fields__ = reward._options()
+
+
+def test_a_module_without_a_package_is_recorded_by_its_content(package: Path, monkeypatch) -> None:
+    (package / "bare_questsim.py").write_text("x = 1\n")
+    monkeypatch.setenv("QUESTSIM_EXTENSIONS", "bare_questsim")
+    load_extensions()
+    digest = hashlib.sha256(b"x = 1\n").hexdigest()
+    assert versions()["extension bare_questsim"] == f"sha256 {digest}"
 
 
 def test_a_system_is_listed_with_the_others(package: Path, capsys) -> None:

@@ -27,6 +27,7 @@ from agents.training.workers import Workers
 from envs.config import EnvConfig
 from envs.sb3 import QuestVecEnv
 from questsim.errors import InputError
+from questsim.extensions import load_extensions
 from questsim.motion.clip import Clip
 from questsim.skeleton import NUM_DOFS
 
@@ -93,6 +94,7 @@ class RolloutWorker:
     """
 
     def __init__(self, batch: BatchSpec) -> None:
+        load_extensions()
         torch.set_num_threads(1)
         self.env = batch.make()
         self._seed, self._threads = batch.seed, Workers(batch.threads)
