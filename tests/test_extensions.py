@@ -141,7 +141,7 @@ def test_a_reward_term_in_another_process_is_found_or_refused(package: Path) -> 
 
 
 def forget_term() -> None:
-    """As in a process that has not loaded the extension."""
+    """Be as in a process that has not loaded the extension."""
     del reward.TERMS["outside_energy"], sys.modules["outside_questsim"]
     reward.RewardConfig.__dataclass_fields__ = reward._options()
 
