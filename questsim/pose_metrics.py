@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from questsim import rotations as rot
-from questsim.skeleton import JOINTS
+from questsim.skeleton import JOINT_PARENTS, JOINTS
 
 _CM = 100.0
 ROOT, HEAD = JOINTS.index("root"), JOINTS.index("head")
@@ -77,12 +77,33 @@ def jitter_100_m_s3(position: np.ndarray, fps: float) -> np.ndarray:
     return np.linalg.norm(jerk, axis=-1).mean(axis=-1) / 100.0
 
 
-def rot_deg(rotations: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Mean geodesic angle in degrees ``(F,)`` of 22 joints, each in its parent, the root included.
+def rot_deg(orientations: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Rot of SparsePoser and DragPoser in degrees ``(F,)``: the angle of ``R0 R1^T``.
 
-    Rot of SparsePoser and DragPoser, which give no formula: this is our reading of it.
+    Args:
+        orientations, reference: ``(F, 22, 4)`` of the joints in the world, see ``orientations_of``.
+
+    Returns:
+        mean over the 22 joints, the root included.
+    """
+    return np.degrees(rot.angle_between(orientations, reference)).mean(axis=-1)
+
+
+def rot_local_deg(rotations: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Mean geodesic angle in degrees ``(F,)`` of 22 joints, each in its parent, with the root's.
+
+    No paper reports it. An error of the spine counts once, not again for all joints above it.
     """
     return np.degrees(rot.angle_between(rotations, reference)).mean(axis=-1)
+
+
+def orientations_of(rotations: np.ndarray) -> np.ndarray:
+    """Orientations ``(F, 22, 4)`` in the world from rotations in the parent."""
+    world = np.array(rotations, float)
+    for joint, parent in enumerate(JOINT_PARENTS):
+        if joint != parent:
+            world[:, joint] = rot.quat_multiply(world[:, parent], world[:, joint])
+    return world
 
 
 def planted(reference: np.ndarray, fps: float) -> np.ndarray:
@@ -143,9 +164,9 @@ def pose_samples(
     """All errors of one clip by name: samples as the functions above give them.
 
     ``mpjre``, ``mpjpe``, ``mpjve``, ``h_pe``, ``u_pe``, ``l_pe``, ``r_pe``: heads moved onto each
-    other (HMD-Poser and LGSIK-Poser; Jiang et al., AvatarPoser, ECCV 2022). ``pos``, ``rot``,
-    ``vel``, ``ee``: roots moved onto each other (SparsePoser and DragPoser). ``world``: nothing
-    moved.
+    other (HMD-Poser and LGSIK-Poser; Jiang et al., AvatarPoser, ECCV 2022). ``pos``, ``vel``,
+    ``ee``: roots moved onto each other, ``rot``: of orientations, ``root``: the root alone, nothing
+    moved (SparsePoser and DragPoser). ``rot_local`` and ``world`` (nothing moved): of none of them.
 
     Args:
         position, rotations: estimated.
@@ -166,7 +187,9 @@ def pose_samples(
         "l_pe_cm": joints_cm(by_head, reference, LOWER),
         "r_pe_cm": joints_cm(by_head, reference, (ROOT,)),
         "pos_cm": joints_cm(by_root, reference),
-        "rot_deg": rot_deg(rotations, reference_rotations),
+        "rot_deg": rot_deg(orientations_of(rotations), orientations_of(reference_rotations)),
+        "rot_local_deg": rot_local_deg(rotations, reference_rotations),
+        "root_cm": joints_cm(position, reference, (ROOT,)),
         "vel_cm_s": velocity_cm_s(by_root, reference, fps),
         "ee_cm": joints_cm(by_root, reference, ends),
         "world_cm": joints_cm(position, reference),

@@ -15,13 +15,22 @@ from agents.comparison.ablations import AblationsArgs, ablations
 from agents.comparison.report import Row
 from agents.kinematic import load_system
 from agents.kinematic.data import MotionBank
+from agents.kinematic.dragposer.networks import (
+    PAST,
+    TOKEN,
+    AutoregressivePredictor,
+    DragPoserSpec,
+)
+from agents.kinematic.dragposer.training import _limb_noise
 from agents.kinematic.interface import UserBody
 from agents.kinematic.options import TrainSystemArgs
 from agents.kinematic.recurrent.features import ATOMS
 from agents.kinematic.recurrent.hmdposer import HmdPoserNet, HmdPoserSpec
 from agents.kinematic.recurrent.lgsik import PARTS, LgsikNet, LgsikSpec
+from agents.kinematic.recurrent.poser import _shape_error
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.skeletal import MaskedConv, MaskedLinear, PlainMixing
+from agents.kinematic.sparseposer.training import _regularisation
 from agents.kinematic.store import find_system, load_module, read_system_card, save_system
 from agents.kinematic.switches import switches
 from agents.kinematic.training import train_system
@@ -261,7 +270,59 @@ def test_without_regularisation_the_limbs_distance_from_the_generator_does_not_c
     assert totals[2] - totals[1] == pytest.approx(1000 * kept, rel=1e-3)
 
 
+def test_the_regularisation_reads_all_joints_but_the_ends():
+    dual, offsets = torch.zeros(1, 2, 22, 8), torch.randn(1, 22, 3)
+    dual[..., 0] = 1.0
+    turned = {}
+    for name in ("left_wrist", "left_elbow", "left_ankle"):
+        other = dual.clone()
+        other[:, :, JOINTS.index(name), :4] = torch.tensor([0.8, 0.6, 0.0, 0.0])
+        turned[name] = float(_regularisation(other, dual, offsets))
+    # Only the toe, an end, is moved by the ankle; its own rotation counts.
+    assert turned["left_wrist"] == 0.0 and turned["left_elbow"] > 0.01 < turned["left_ankle"]
+
+
+# -- LGSIK-Poser's shape --------------------------------------------------------------------------
+
+
+def test_as_published_only_changes_of_the_shape_in_a_window_count():
+    shape = torch.ones(2, 5, 16)
+    windows = MotionBank([MOTION], 18).fixed(2)
+    for loss, blind in (("lgsik", True), ("lgsik-lengths", False)):
+        module, _ = task_of("lgsik", f"spec.loss={loss}")
+        assert (float(_shape_error(module, shape, windows)) == 0.0) is blind
+        wandering = shape + torch.linspace(0, 1, 5)[:, None]
+        assert float(_shape_error(module, wandering, windows)) > 0.0
+
+
 # -- DragPoser -----------------------------------------------------------------------------------
+
+
+def test_the_published_predictor_decodes_what_it_is_taught_to_and_sees_no_future():
+    predictor = AutoregressivePredictor(DragPoserSpec(feed_forward=32, published=True)).eval()
+    past = torch.randn(2, PAST, TOKEN)
+    with torch.no_grad():
+        free = predictor(past, 4)
+        assert torch.allclose(predictor.taught(past, free), free, atol=1e-5)
+        other = free.clone()
+        other[:, 2:] += 1.0
+        taught = predictor.taught(past, other)
+    assert torch.allclose(taught[:, :3], free[:, :3], atol=1e-5)
+    assert not torch.allclose(taught[:, 3], free[:, 3], atol=1e-3)
+
+
+def test_a_tenth_of_the_limbs_is_noise_in_all_past_tokens_but_the_last():
+    noise = _limb_noise(np.random.default_rng(0), "predictor", 500)
+    drawn = ~torch.isnan(noise)
+    assert (
+        not drawn[:, -1].any()
+        and not drawn[:, :, [JOINTS.index("root"), JOINTS.index("head")]].any()
+    )
+    arm = [JOINTS.index(f"left_{part}") for part in ("clavicle", "shoulder", "elbow", "wrist")]
+    hit = drawn[:, 0, arm[0], 0]
+    assert torch.equal(drawn[:, :-1, arm].all(dim=(1, 2, 3)), hit)
+    assert 0.06 < float(hit.float().mean()) < 0.14
+    assert float(noise[drawn].std()) == pytest.approx(1.0, abs=0.02)
 
 
 def test_without_continuity_its_term_is_gone():

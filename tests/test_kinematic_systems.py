@@ -319,6 +319,29 @@ def test_one_newton_iteration_comes_closer_than_one_of_adam():
     assert errors["newton"] < 0.5 * errors["adam"]
 
 
+def test_dragposer_as_published_moves_the_latent_alone_and_its_root_to_the_hips_tracker():
+    torch.manual_seed(0)
+    entry = AGENTS["dragposer"]
+    spec = replace(entry.presets["smoke"].spec, published=True)
+    module = entry.build(spec)
+    bank = MotionBank([MOTION], 129)
+    for stage, learning in entry.presets["smoke"].stages.items():
+        entry.task(module, stage, learning, bank, 4)
+    hip, head = JOINTS.index("root"), JOINTS.index("head")
+    errors, seen = {}, stream("6T", 6)
+    want = MOTION.forward_kinematics()[0][:6]
+    for iterations in (1, 30):
+        system = entry.system(module, "drag", ["vae", "predictor"], {"iterations": iterations})
+        got = system.predict(seen, BODY).forward_kinematics()[0]
+        assert np.allclose(got[1:, hip], want[1:, hip], atol=1e-9)
+        errors[iterations] = np.linalg.norm(got[:, head] - want[:, head], axis=-1)[1:].mean()
+    assert errors[30] < errors[1]
+    four = entry.system(module, "drag", ["vae", "predictor"], {}).predict(stream("4T", 20), BODY)
+    assert four.finite()
+    with pytest.raises(InputError, match="no option 'solver'"):
+        entry.system(module, "drag", ["vae"], {"solver": "newton"})
+
+
 def test_dragposer_goes_on_when_trackers_vanish_one_by_one_and_come_back():
     system, seen = system_of("dragposer", iterations=2), stream("6T", 16)
     present = seen.present.copy()

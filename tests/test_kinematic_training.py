@@ -23,7 +23,7 @@ from agents.kinematic.registry import AGENTS
 from agents.kinematic.sparseposer.poser import SparsePoserModule
 from agents.kinematic.sparseposer.training import measure_normalisers
 from agents.kinematic.store import find_system, load_module, read_system_card, save_system
-from agents.kinematic.training import train_system
+from agents.kinematic.training import _budget, train_system
 from agents.run_folder import read_run
 from agents.shipping.ship import ShipArgs, ship
 from agents.shipping.system_card import system_provenance
@@ -365,6 +365,18 @@ def test_lgsiks_published_rate_falls_as_pytorchs_plateau_scheduler_does():
         want = optimiser.param_groups[0]["lr"]
         assert rate_at(learning, 0.1, 0, errors[:count]) == pytest.approx(want)
     assert want == pytest.approx(1e-6)
+
+
+def test_a_paper_preset_trains_for_its_published_epochs_unless_a_budget_is_given(tmp_path):
+    bank = MotionBank([MOTION], 42)
+    config = AGENTS["lgsik"].presets["paper"]
+    args = arguments("lgsik", "synthetic", tmp_path, preset="paper", steps=None)
+    windows = int(np.ceil(bank.starts / 20).sum())
+    assert _budget("network", args, config, bank).steps == np.ceil(150 * windows / 64)
+    given = _budget("network", replace(args, minutes=2.0), config, bank)
+    assert (given.seconds, given.steps) == (120.0, None)
+    cpu = _budget("network", args, AGENTS["lgsik"].presets["cpu"], bank)
+    assert (cpu.seconds, cpu.steps) == (3600.0, None)
 
 
 def test_an_unknown_schedule_is_refused(library, tmp_path):

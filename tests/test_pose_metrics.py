@@ -18,10 +18,10 @@ from questsim.pose_metrics import (
     jitter_100_m_s3,
     mpjre_components_deg,
     pose_samples,
-    rot_deg,
+    rot_local_deg,
 )
 from questsim.root_force import root_force
-from questsim.skeleton import NUM_JOINTS
+from questsim.skeleton import JOINTS, NUM_JOINTS
 from tests.helpers import swaying_clip
 
 MOTION = to_motion(swaying_clip())
@@ -70,7 +70,18 @@ def test_mpjre_by_components_is_a_third_of_the_angle_about_one_axis():
     turned = still.copy()
     turned[:, 1:] = rot.yaw_quat(np.radians(30.0))
     assert mpjre_components_deg(turned, still)[0] == pytest.approx(10.0)
-    assert rot_deg(turned, still)[0] == pytest.approx(30.0 * 21 / 22)
+    assert rot_local_deg(turned, still)[0] == pytest.approx(30.0 * 21 / 22)
+
+
+def test_rot_counts_a_turned_spine_again_for_all_joints_above_it_and_root_is_the_roots_way():
+    rotations = MOTION.rotations.copy()
+    spine = JOINTS.index("spine1")
+    rotations[:, spine] = rot.quat_multiply(rotations[:, spine], rot.yaw_quat(np.radians(22.0)))
+    told = samples(POSITION + np.array([0.03, 0.04, 0.0]), rotations)
+    assert told["rot_local_deg"] == pytest.approx(22.0 / NUM_JOINTS)
+    above = 13  # spine, neck, head and both arms
+    assert told["rot_deg"] == pytest.approx(22.0 * above / NUM_JOINTS)
+    assert told["root_cm"] == pytest.approx(5.0)
 
 
 def test_mpjre_takes_the_short_way_round_half_a_turn():

@@ -81,6 +81,7 @@ LABELS: dict[str, str] = {
     "mpjre_deg": "MPJRE (deg)", "mpjpe_cm": "MPJPE (cm)", "mpjve_cm_s": "MPJVE (cm/s)",
     "jitter_100_m_s3": "jitter (100 m/s³)", "h_pe_cm": "H-PE (cm)", "u_pe_cm": "U-PE (cm)",
     "l_pe_cm": "L-PE (cm)", "r_pe_cm": "R-PE (cm)", "pos_cm": "pos (cm)", "rot_deg": "rot (deg)",
+    "rot_local_deg": "rot local (deg)", "root_cm": "root (cm)",
     "vel_cm_s": "vel (cm/s)", "ee_cm": "EE (cm)", "world_cm": "world (cm)",
     "foot_skate_cm_s": "skate (cm/s)", "floating_cm": "floating (cm)",
     "penetration_cm": "penetration (cm)", "root_force_bw": "root force (body weights)",

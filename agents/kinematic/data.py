@@ -79,6 +79,10 @@ class MotionBank:
         """Mean ``(22, 3)`` of the performers' offsets."""
         return self.offsets.mean(axis=0)
 
+    def windows(self, stride: int) -> int:
+        """Number of windows in one pass: one every ``stride`` frames, or with 0 one per motion."""
+        return int(np.ceil(self.starts / stride).sum()) if stride else len(self.starts)
+
     def draw(self, count: int, rng: np.random.Generator, vary: bool = True) -> Windows:
         """A batch of windows at random times and headings; every second one is mirrored.
 

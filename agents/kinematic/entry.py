@@ -17,7 +17,9 @@ HEADS_ALIGNED: tuple[str, ...] = (
     "mpjre_deg", "mpjpe_cm", "mpjve_cm_s", "jitter_100_m_s3",
     "h_pe_cm", "u_pe_cm", "l_pe_cm", "r_pe_cm",
 )  # fmt: skip
-ROOTS_ALIGNED: tuple[str, ...] = ("pos_cm", "rot_deg", "vel_cm_s", "ee_cm", "jitter_100_m_s3")
+ROOTS_ALIGNED: tuple[str, ...] = (
+    "pos_cm", "rot_deg", "root_cm", "vel_cm_s", "ee_cm", "jitter_100_m_s3", "rot_local_deg",
+)  # fmt: skip
 CPU = Learning(batch=32, window=42, warm_up=200, bfloat16=True)
 """Small batches in bfloat16: in half an hour on one core, more steps help more than precision."""
 SMOKE = Learning(batch=8, evaluate_every=20, steps=60, learning_rate=2e-3)

@@ -32,6 +32,8 @@ class Learning:
             native support.
         evaluate_every: gradient steps between evaluations.
         steps: largest number of gradient steps of the stage.
+        epochs: published number of passes over the data: the budget without --minutes and --steps.
+        stride: frames between the windows of a pass; 0 for one window of each motion.
         weights: weights of loss terms by name: ``continuity`` in DragPoser's ``vae``, ``keep`` in
             SparsePoser's ``ik``; by default the published ones.
     """
@@ -48,6 +50,8 @@ class Learning:
     bfloat16: bool = False
     evaluate_every: int = 500
     steps: int | None = None
+    epochs: int | None = None
+    stride: int = 0
     weights: dict[str, float] = field(default_factory=dict)
 
 
@@ -107,7 +111,7 @@ class Config:
     Attributes:
         spec: sizes of its networks and run-time settings.
         stages: settings by stage, in the order of training.
-        minutes: default time budget of a training.
+        minutes: default time budget of a training; stages with ``epochs`` ignore it.
         validation: number of fixed windows for comparing checkpoints.
     """
 

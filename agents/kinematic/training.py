@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -159,7 +160,7 @@ def _fit(
         task=task,
         learning=learning,
         folder=args.out / name,
-        budget=_budget(name, args, config),
+        budget=_budget(name, args, config, banks[learning.window]),
         save=save,
         record=record | {"trained": trained},
         seed=seed,
@@ -169,8 +170,12 @@ def _fit(
     return fit
 
 
-def _budget(name: str, args: TrainSystemArgs, config: Config) -> Budget:
+def _budget(name: str, args: TrainSystemArgs, config: Config, bank: MotionBank) -> Budget:
+    """The time or the steps that are given; else the published epochs, or the preset's time."""
     learning = config.stages[name]
+    if args.minutes is None and args.steps is None and learning.epochs is not None:
+        steps = ceil(learning.epochs * bank.windows(learning.stride) / learning.batch)
+        return Budget(None, min(steps, learning.steps or steps))
     minutes = config.minutes if args.minutes is None else args.minutes
     if args.steps is not None and args.minutes is None:
         minutes = None

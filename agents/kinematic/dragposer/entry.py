@@ -8,6 +8,7 @@ from typing import Any
 from torch import nn
 
 from agents.kinematic.dragposer.networks import DragPoserModule, DragPoserSpec
+from agents.kinematic.dragposer.published import PublishedDragPoser
 from agents.kinematic.dragposer.solver import DragPoser
 from agents.kinematic.dragposer.training import WEIGHTS, make_task
 from agents.kinematic.entry import ROOTS_ALIGNED, SMOKE, Entry, no_options
@@ -33,8 +34,13 @@ def _system(
     module: nn.Module, name: str, trained: list[str], options: dict[str, Any]
 ) -> KinematicSystem:
     assert isinstance(module, DragPoserModule)
-    no_options(name, options, ("iterations", "solver", "predictor", "constraints", "rotations"))
-    return DragPoser(module, name, **{"predictor": "predictor" in trained, **options})
+    known = ("iterations", "predictor", "constraints", "rotations")
+    chosen = {"predictor": "predictor" in trained, **options}
+    if module.spec.published:
+        no_options(name, options, known)
+        return PublishedDragPoser(module, name, solver="adam", **chosen)
+    no_options(name, options, (*known, "solver"))
+    return DragPoser(module, name, **chosen)
 
 
 DRAGPOSER = Entry(
@@ -42,7 +48,7 @@ DRAGPOSER = Entry(
     ("3T", "4T", "6T"),
     {
         "paper": Config(
-            DragPoserSpec(),
+            DragPoserSpec(solver="adam", published=True),
             {
                 "vae": Learning(
                     share=0.5,
@@ -55,11 +61,12 @@ DRAGPOSER = Entry(
                 ),
                 "predictor": Learning(
                     share=0.5,
-                    optimiser="adam",
                     final_rate=1.0,
                     batch=512,
                     window=129,
                     clip=None,
+                    epochs=80,
+                    stride=16,
                 ),
             },
         ),

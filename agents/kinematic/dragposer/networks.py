@@ -51,6 +51,8 @@ class DragPoserSpec:
         iterations: largest number of solver iterations per frame.
         predictor: whether the temporal predictor is used. Without it, its stage is not trained and
             the last latent is the prediction of the next one.
+        published: whether predictor, training and solver are those of the paper (see
+            ``published``), without this project's changes.
     """
 
     size: int = 48
@@ -62,6 +64,7 @@ class DragPoserSpec:
     solver: str = "newton"
     iterations: int = 10
     predictor: bool = field(default=True, metadata=SWITCH)
+    published: bool = field(default=False, metadata=SWITCH)
 
 
 @dataclass(frozen=True)
@@ -158,6 +161,52 @@ class LatentPredictor(nn.Module):
         return past[:, -1:, :LATENT] + self.out(self.transformer(told, asked))
 
 
+class AutoregressivePredictor(nn.Module):
+    """The published predictor: a transformer that decodes future latents one after the other.
+
+    The encoder reads all past tokens but the last. The decoder starts from the latent of the last
+    one and reads its own predictions, with a causal mask; in training it reads the true latents.
+
+    Args:
+        spec: network sizes.
+    """
+
+    def __init__(self, spec: DragPoserSpec) -> None:
+        super().__init__()
+        self.into, self.again = nn.Linear(TOKEN, spec.size), nn.Linear(LATENT, spec.size)
+        self.transformer = nn.Transformer(
+            spec.size, spec.heads, spec.encoder_layers, spec.decoder_layers, spec.feed_forward,
+            spec.dropout, batch_first=True,
+        )  # fmt: skip
+        self.out = nn.Linear(spec.size, LATENT)
+        self.register_buffer("places", _sinusoids(PAST + FUTURE, spec.size), persistent=False)
+
+    def taught(self, past: Tensor, coming: Tensor) -> Tensor:
+        """Predict latents ``(B, F, 24)`` from tokens ``(B, P, 33)`` and the true latents before."""
+        told = torch.cat([past[:, -1:, :LATENT], coming[:, :-1]], dim=1)
+        return self._decoded(self._remembered(past), told)
+
+    def forward(self, past: Tensor, future: int) -> Tensor:
+        """Predict z-scored latents ``(B, future, 24)`` from z-scored tokens ``(B, P, 33)``."""
+        memory, told = self._remembered(past), past[:, -1:, :LATENT]
+        for _ in range(future):
+            told = torch.cat([told, self._decoded(memory, told)[:, -1:]], dim=1)
+        return told[:, 1:]
+
+    def _remembered(self, past: Tensor) -> Tensor:
+        assert isinstance(self.places, Tensor)
+        count = past.shape[1]
+        told = self.into(past[:, :-1]) + self.places[PAST - count : PAST - 1]
+        return self.transformer.encoder(told)
+
+    def _decoded(self, memory: Tensor, told: Tensor) -> Tensor:
+        assert isinstance(self.places, Tensor)
+        count = told.shape[1]
+        mask = torch.triu(told.new_full((count, count), float("-inf")), diagonal=1)
+        asked = self.again(told) + self.places[PAST - 1 : PAST - 1 + count]
+        return self.out(self.transformer.decoder(asked, memory, tgt_mask=mask))
+
+
 def _sinusoids(count: int, size: int) -> Tensor:
     place = torch.arange(count)[:, None]
     rate = torch.exp(torch.arange(0, size, 2) * (-9.21034 / size))
@@ -181,7 +230,8 @@ class DragPoserModule(nn.Module):
         super().__init__()
         self.spec = spec
         self.vae = PoseAutoencoder()
-        self.predictor = LatentPredictor(spec) if spec.predictor else None
+        kind = AutoregressivePredictor if spec.published else LatentPredictor
+        self.predictor = kind(spec) if spec.predictor else None
         for buffer, value in (
             ("mean", torch.zeros(NUM_JOINTS, ENCODED)),
             ("std", torch.zeros(NUM_JOINTS, ENCODED)),

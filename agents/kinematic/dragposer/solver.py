@@ -104,6 +104,8 @@ class DragPoser(KinematicSystem):
 
     devices = DEVICES
     interpolates_dropouts = False
+    passes_on = True
+    """Whether the joints of ``PASSED_ON`` take the measured orientation."""
 
     def __init__(
         self,
@@ -183,7 +185,7 @@ class DragPoser(KinematicSystem):
         local[0] = quat[0]
         for joint, weight, measured in zip(goal.joints, goal.weights, goal.quat, strict=True):
             # The solver gives these rotations little weight, and no tracked joint depends on them.
-            if joint in PASSED_ON and weight[1] > 0:
+            if self.passes_on and joint in PASSED_ON and weight[1] > 0:
                 local[joint] = rot.quat_multiply(
                     rot.quat_conjugate(quat[JOINT_PARENTS[joint]]), measured
                 )
@@ -197,6 +199,7 @@ class DragPoser(KinematicSystem):
         if not self.rotations:
             wanted[:, 1] = 0.0
         latent = self._latent if self._latent is not None else np.zeros(LATENT)
+        self._reporting = joints
         share = NEWTON_SHARE if self.solver == "newton" else 1.0
         return Goal(
             joints=joints,
@@ -232,7 +235,7 @@ class DragPoser(KinematicSystem):
         figure = self._figure(unknowns, goal, slopes)
         parts = [(unknowns - _held(goal), np.eye(UNKNOWNS)[:, : figure.columns], _hold(goal))]
         if goal.joints:
-            parts += _off_trackers(figure, goal)
+            parts += off_trackers(figure, goal)
         if HIP not in goal.joints:
             foot = ANKLES[int(figure.position[ANKLES, 2].argmin())]
             low = figure.position[[foot], 2] - self._ankle_rise
@@ -253,6 +256,9 @@ class DragPoser(KinematicSystem):
     def _solve(self, unknowns: np.ndarray, goal: Goal, iterations: int) -> np.ndarray:
         if self.solver == "adam":
             return self._adam(unknowns, goal, iterations)
+        return self._newton(unknowns, goal, iterations)
+
+    def _newton(self, unknowns: np.ndarray, goal: Goal, iterations: int) -> np.ndarray:
         damping = 1e-4
         for _ in range(iterations):
             residual, jacobian = self._residuals(unknowns, goal, slopes=True)
@@ -354,7 +360,7 @@ def _hold(goal: Goal) -> np.ndarray:
     return np.repeat(np.sqrt(weights), [LATENT, 3, 3])
 
 
-def _off_trackers(figure: PosedSkeleton, goal: Goal) -> list[_Part]:
+def off_trackers(figure: PosedSkeleton, goal: Goal) -> list[_Part]:
     """Tracker errors: metres, and twice the vector parts of the rotation errors."""
     scales = np.sqrt(goal.weights / (3.0 * len(goal.joints)))
     back = left_matrix(rot.quat_conjugate(goal.quat))

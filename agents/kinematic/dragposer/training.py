@@ -10,11 +10,13 @@ from torch import Tensor, nn
 
 from agents.kinematic.data import MotionBank, Windows
 from agents.kinematic.dragposer.networks import (
+    ENCODED,
     FUTURE,
     HEIGHT_JOINTS,
     LATENT,
     PAST,
     TOKEN_EVERY,
+    AutoregressivePredictor,
     DragPoserModule,
     LatentPredictor,
     joints_from_root,
@@ -22,16 +24,31 @@ from agents.kinematic.dragposer.networks import (
 )
 from agents.kinematic.learning import Learning, Task
 from questsim import differentiable as diff
+from questsim.skeleton import JOINTS, NUM_JOINTS
 
 FK_WEIGHT, KLD_WEIGHT = 100.0, 0.001
 """Weight of the forward kinematics loss; quaternions have weight 1 (the paper)."""
 CONTINUITY = "continuity"
 WEIGHTS = {CONTINUITY: 1.0}
 """Weight of the continuity loss (the paper); 0 disables it."""
-LATENT_STEP = 0.1
-"""Step size of the single gradient step in the continuity loss."""
+LATENT_STEP, PUBLISHED_STEP = 0.1, 1.0
+"""Step size of the single gradient step in the continuity loss; as published, the gradient is
+subtracted as it is."""
 NOISE_CHANCE, NOISE_STD = 0.1, 0.3
 """Disturbance of the predictor's inputs: share of windows, and noise in standard deviations."""
+LIMBS: tuple[tuple[int, ...], ...] = tuple(
+    tuple(i for i, name in enumerate(JOINTS) if name in names.split())
+    for names in (
+        f"{side}_{a} {side}_{b} {side}_{c} {side}_{d}"
+        for side in ("left", "right")
+        for a, b, c, d in (
+            ("hip", "knee", "ankle", "toe"),
+            ("clavicle", "shoulder", "elbow", "wrist"),
+        )
+    )
+)
+"""Joints of the four limbs. In the published training each limb is replaced by noise in the past
+tokens of a window with probability ``NOISE_CHANCE``, in all but the last token."""
 NORMALISED_BY = 512
 
 _Batch = tuple[Windows, Tensor]
@@ -65,11 +82,11 @@ def make_task(
     else:
         assert module.predictor is not None
         trained, loss = module.predictor, _predictor_loss(module, module.predictor)
-    noise = np.random.default_rng(7)
-    fixed = (bank.fixed(validation), _normal(noise, stage, validation))
+    normal = _limb_noise if stage == "predictor" and module.spec.published else _normal
+    fixed = (bank.fixed(validation), normal(np.random.default_rng(7), stage, validation))
 
     def draw(rng: np.random.Generator) -> _Batch:
-        return bank.draw(learning.batch, rng), _normal(rng, stage, learning.batch)
+        return bank.draw(learning.batch, rng), normal(rng, stage, learning.batch)
 
     def validate() -> dict[str, float]:
         return loss(fixed)[1]
@@ -84,6 +101,17 @@ def _normal(rng: np.random.Generator, stage: str, count: int) -> Tensor:
     noise = NOISE_STD * rng.standard_normal((count, PAST, LATENT))
     noise *= (rng.random(count) < NOISE_CHANCE)[:, None, None]
     return torch.as_tensor(noise, dtype=torch.float32)
+
+
+def _limb_noise(rng: np.random.Generator, stage: str, count: int) -> Tensor:
+    """Noise ``(B, PAST, 22, 8)`` of joints in past tokens; NaN where the pose is left as it is."""
+    noise = np.full((count, PAST, NUM_JOINTS, ENCODED), np.nan, np.float32)
+    for limb in LIMBS:
+        hit = rng.random(count) < NOISE_CHANCE
+        drawn = rng.standard_normal((int(hit.sum()), PAST - 1, len(limb), ENCODED))
+        for joint, values in zip(limb, drawn.swapaxes(0, 2), strict=True):
+            noise[hit, : PAST - 1, joint] = values.swapaxes(0, 1)
+    return torch.from_numpy(noise)
 
 
 def _apart(module: DragPoserModule, latent: Tensor, target: Tensor, offsets: Tensor) -> Tensor:
@@ -117,7 +145,8 @@ def _vae_loss(module: DragPoserModule, continuity_weight: float) -> _Loss:
                 start = mean if mean.requires_grad else mean.detach().requires_grad_()
                 there = _apart(module, start, following, offsets).sum()
                 slope = torch.autograd.grad(there, start, create_graph=True)[0]
-            moved = start - LATENT_STEP * slope
+            step = PUBLISHED_STEP if module.spec.published else LATENT_STEP
+            moved = start - step * slope
             continuity = _apart(module, moved, following, offsets).mean()
             total = total + continuity_weight * continuity
             figures[CONTINUITY] = float(continuity.detach())
@@ -130,13 +159,23 @@ def _vae_loss(module: DragPoserModule, continuity_weight: float) -> _Loss:
     return loss
 
 
-def tokens_of(module: DragPoserModule, windows: Windows) -> Tensor:
-    """Tokens ``(B, P, 33)`` of every fourth frame: latent, displacement since the last, heights."""
+def tokens_of(module: DragPoserModule, windows: Windows, noise: Tensor | None = None) -> Tensor:
+    """Tokens ``(B, P, 33)`` of every fourth frame: latent, displacement since the last, heights.
+
+    Args:
+        module: encodes the poses.
+        windows: the motion.
+        noise: see ``_limb_noise``, in standard deviations of each channel.
+    """
     frames = range(TOKEN_EVERY, windows.frames, TOKEN_EVERY)
     turned = diff.matrix_to_quat(windows.world[:, :, 0])
     told = []
-    for frame in frames:
-        latent, _ = module.encode(poses(windows, frame))
+    for i, frame in enumerate(frames):
+        pose = poses(windows, frame)
+        if noise is not None and i < noise.shape[1]:
+            drawn = module.mean + module.std * noise[:, i]
+            pose = torch.where(torch.isnan(drawn), pose, drawn)
+        latent, _ = module.encode(pose)
         root = windows.position[:, :, 0]
         moved = root[:, frame] - root[:, frame - TOKEN_EVERY]
         moved = diff.quat_rotate(diff.quat_conjugate(turned[:, frame - TOKEN_EVERY]), moved)
@@ -145,14 +184,20 @@ def tokens_of(module: DragPoserModule, windows: Windows) -> Tensor:
     return torch.stack(told, dim=1)
 
 
-def _predictor_loss(module: DragPoserModule, predictor: LatentPredictor) -> _Loss:
+def _predictor_loss(
+    module: DragPoserModule, predictor: LatentPredictor | AutoregressivePredictor
+) -> _Loss:
     def loss(batch: _Batch) -> tuple[Tensor, dict[str, float]]:
         windows, noise = batch
         with torch.no_grad():
-            tokens = (tokens_of(module, windows) - module.token_mean) / module.token_std
+            tokens = tokens_of(module, windows, noise if module.spec.published else None)
+            tokens = (tokens - module.token_mean) / module.token_std
         past, coming = tokens[:, :PAST].clone(), tokens[:, PAST : PAST + FUTURE, :LATENT]
-        past[..., :LATENT] += noise[:, : past.shape[1]]
-        got = predictor(past, coming.shape[1])
+        if isinstance(predictor, AutoregressivePredictor):
+            got = predictor.taught(past, coming)
+        else:
+            past[..., :LATENT] += noise[:, : past.shape[1]]
+            got = predictor(past, coming.shape[1])
         squared = (got - coming).square()
         total = squared.mean()
         first = squared[:, 0].mean()

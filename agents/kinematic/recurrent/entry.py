@@ -69,6 +69,7 @@ HMDPOSER = _entry(
                 batch=256,
                 window=42,
                 clip=None,
+                epochs=400,
             )
         },
     ),
@@ -93,7 +94,16 @@ LGSIK = _entry(
     "LGSIK-Poser (2025)",
     paper=Config(
         LgsikSpec(),
-        {"network": Learning(schedule="plateau", final_rate=0.1, window=42, clip=None)},
+        {
+            "network": Learning(
+                schedule="plateau",
+                final_rate=0.1,
+                window=42,
+                clip=None,
+                epochs=150,
+                stride=20,
+            )
+        },
     ),
     cpu=LgsikSpec(size=64, hidden=(256, 128), shape_hidden=128),
     smoke=LgsikSpec(size=16, hidden=(32, 32), shape_hidden=16),
@@ -112,6 +122,11 @@ LGSIK = _entry(
             "no-shape-group",
             "measurements are not read; bones are estimated from motion alone (LGSIK-Poser)",
             set=("spec.shape_group=false",),
+        ),
+        Variant(
+            "supervised-lengths",
+            "the true bone lengths supervise the shape, too; the paper's loss does not know them",
+            set=("spec.loss=lgsik-lengths",),
         ),
         Variant(
             "hmdposer-loss",

@@ -55,7 +55,7 @@ PARTS: dict[str, tuple[str, ...]] = {
 }
 """The six parts with an IK head each, and their joints."""
 
-LOSSES = ("lgsik", "hmdposer")
+LOSSES = ("lgsik", "lgsik-lengths", "hmdposer")
 """Available training losses; see ``recurrent.losses``."""
 
 _END = {"head": "head", "left_arm": "left", "right_arm": "right",
@@ -76,7 +76,9 @@ class LgsikSpec:
             one plain head outputs all rotations from the features of all parts.
         shape_group: whether the shape group and the shape head read measurements; otherwise bones
             are estimated from the motion alone.
-        loss: ``lgsik``, or ``hmdposer`` for HMD-Poser's.
+        loss: ``lgsik`` (published: nothing but consistency in the window supervises the shape),
+            ``lgsik-lengths`` (the true bone lengths supervise it too), or ``hmdposer`` for
+            HMD-Poser's.
     """
 
     size: int = 128

@@ -240,8 +240,9 @@ def losses(
 
     HMD-Poser, L1: root 1, local 5, global 1, joints 1, acceleration 0.5 (of 100 m/s^2), shape
     consistency 0.1. LGSIK-Poser, MSE: root 10, local 50, global 10, joints 1000, sparse joints
-    (root, hands) 1000, shape 10, velocity 5 over lags of 1, 3 and 5 frames. LGSIK-Poser can be
-    trained with HMD-Poser's loss (``LgsikSpec.loss``).
+    (root, hands) 1000, shape 10, velocity 5 over lags of 1, 3 and 5 frames. In both papers the
+    shape term is consistency in the window alone: bones follow from the loss of the joints. Other
+    values of ``LgsikSpec.loss`` supervise bone lengths too, or use HMD-Poser's loss.
     """
     local = diff.six_d_to_matrix(six)
     offsets = module.bones(shape)
@@ -258,7 +259,6 @@ def losses(
     turned = (heading[:, :, None] @ joints[..., None]).squeeze(-1)
     # Joint paths in the world, without the head's path, which is given.
     moved, want_moved = turned, from_head
-    wander = (shape - shape.mean(dim=1, keepdim=True)).abs().mean()
     if isinstance(module.net, HmdPoserNet) or module.net.spec.loss == "hmdposer":
 
         def bend(x: Tensor) -> Tensor:
@@ -270,7 +270,7 @@ def losses(
             "global": _l1(diff.matrix_to_six_d(world), diff.matrix_to_six_d(want_world)),
             "joints": _l1(joints, want),
             "acceleration": 0.5 * _l1(bend(moved), bend(want_moved)),
-            "shape": 0.1 * wander,
+            "shape": 0.1 * (shape - shape.mean(dim=1, keepdim=True)).abs().mean(),
         }
     else:
         sparse = [JOINTS.index(name) for name in ("root", "left_wrist", "right_wrist")]
@@ -278,21 +278,29 @@ def losses(
         velocity = [
             _mse(moved[:, k:] - moved[:, :-k], want_moved[:, k:] - want_moved[:, :-k]) for k in lags
         ]
-        lengths = bone_lengths(target.offsets.numpy()) / bone_lengths(module.template.numpy())
-        known = torch.as_tensor(np.log(lengths), dtype=torch.float32)[:, None]
         terms = {
             "root": 10.0 * _mse(got_six[:, :, 0], want_root),
             "local": 50.0 * _mse(got_six[:, :, 1:], want_six),
             "global": 10.0 * _mse(diff.matrix_to_six_d(world), diff.matrix_to_six_d(want_world)),
             "joints": 1000.0 * _mse(joints, want),
             "sparse": 1000.0 * _mse(joints[:, :, sparse], want[:, :, sparse]),
-            "shape": 10.0 * (_mse(SHAPE_UNIT * shape, known) + SHAPE_UNIT * wander),
+            "shape": 10.0 * _shape_error(module, shape, target),
             "velocity": 5.0 * torch.stack(velocity).sum(),
         }
     total = torch.stack(list(terms.values())).sum()
     figures = {name: float(term.detach()) for name, term in terms.items()}
     figures["error_cm"] = float(100.0 * (joints - want).detach().norm(dim=-1).mean())
     return total, figures
+
+
+def _shape_error(module: RecurrentModule, shape: Tensor, target: Windows) -> Tensor:
+    """LGSIK-Poser's shape term: variance within each window, and in the variant also the error."""
+    wander = shape - shape.mean(dim=1, keepdim=True)
+    if isinstance(module.net, LgsikNet) and module.net.spec.loss == "lgsik":
+        return wander.square().mean()
+    lengths = bone_lengths(target.offsets.numpy()) / bone_lengths(module.template.numpy())
+    known = torch.as_tensor(np.log(lengths), dtype=torch.float32)[:, None]
+    return _mse(SHAPE_UNIT * shape, known) + SHAPE_UNIT * wander.abs().mean()
 
 
 def make_task(

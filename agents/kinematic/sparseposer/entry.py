@@ -20,7 +20,9 @@ SCENARIOS = (
     Scenario("6", _SIX),
     Scenario("6, 7 frames late", _SIX, options=(("future_frames", 7),)),
 )
-_PAPER = Learning(learning_rate=1e-4, final_rate=1.0, batch=256, window=64, clip=None)
+_PAPER = Learning(
+    learning_rate=1e-4, final_rate=1.0, batch=256, window=64, clip=None, epochs=500, stride=8
+)
 
 
 def _system(

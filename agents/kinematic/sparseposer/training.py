@@ -20,8 +20,10 @@ ROOT_WEIGHT, ROTATION_WEIGHT = 10.0, 10.0
 code)."""
 KEEP = "keep"
 WEIGHTS = {KEEP: 0.1}
-"""Weight of keeping the generator's limbs: the regularisation of learned IK in the paper, lambda
-times the squared difference of joints' dual quaternions."""
+"""lambda of learned IK's regularisation L_Reg (the paper): it keeps the generator's pose where no
+tracker measures it."""
+REGULARISED = [joint for joint in range(NUM_JOINTS) if joint not in ENDS]
+"""Joints of L_Reg: all but the end effectors."""
 NORMALISED_BY = 256
 """Number of windows from which normalisers are computed."""
 
@@ -50,11 +52,25 @@ def measure_normalisers(module: SparsePoserModule, windows: Windows) -> None:
 
 def ends_of(dual: Tensor, offsets: Tensor) -> tuple[Tensor, Tensor]:
     """Positions and orientations ``(B, T, 6, ...)`` of the limbs' ends in root space."""
+    position, matrix = joints_of(dual, offsets)
+    return position[:, :, list(ENDS)], matrix[:, :, list(TURNED)]
+
+
+def joints_of(dual: Tensor, offsets: Tensor) -> tuple[Tensor, Tensor]:
+    """Forward kinematics in root space: ``(B, T, 22, 3)`` and ``(B, T, 22, 3, 3)``."""
     matrix = diff.quat_to_matrix(dual[..., :4])
     unturned = torch.eye(3).expand(*matrix.shape[:2], 1, 3, 3)
     matrix = torch.cat([unturned, matrix[:, :, 1:]], dim=2)
-    position = diff.positions_from_root(matrix, offsets[:, None])
-    return position[:, :, list(ENDS)], matrix[:, :, list(TURNED)]
+    return diff.positions_from_root(matrix, offsets[:, None]), matrix
+
+
+def _regularisation(solved: Tensor, generated: Tensor, offsets: Tensor) -> Tensor:
+    """L_Reg: MSE of positions and rotations of ``REGULARISED`` between learned IK and generator."""
+    (place, turn), (place_before, turn_before) = (
+        joints_of(dual, offsets) for dual in (solved, generated)
+    )
+    apart = (place - place_before)[:, :, REGULARISED].square().mean()
+    return apart + (turn - turn_before)[:, :, REGULARISED].square().mean()
 
 
 def make_task(
@@ -121,7 +137,6 @@ def _generator_loss(module: SparsePoserModule, bfloat16: bool) -> _Loss:
 
 def _ik_loss(module: SparsePoserModule, keep_weight: float) -> _Loss:
     limbs = [limb.end for limb in LIMBS.values()]
-    moved = sorted(joint for limb in LIMBS.values() for joint in limb.joints)
 
     def loss(windows: Windows) -> tuple[Tensor, dict[str, float]]:
         sparse, ends, offsets, target = _prepared(module, windows)
@@ -130,9 +145,9 @@ def _ik_loss(module: SparsePoserModule, keep_weight: float) -> _Loss:
         solved = module.solve(generated, ends, offsets)
         position, turned = ends_of(solved, windows.offsets)
         want_position, want_turned = ends_of(target, windows.offsets)
+        keep = _regularisation(solved, generated, windows.offsets)
         apart = (position - want_position)[:, :, limbs].square().mean()
         turn = (turned - want_turned)[:, :, limbs].square().mean()
-        keep = (solved - generated)[:, :, moved].square().mean()
         total = apart + ROTATION_WEIGHT * turn + keep_weight * keep
         end_cm = 100.0 * (position - want_position)[:, :, limbs].detach().norm(dim=-1).mean()
         return total, {

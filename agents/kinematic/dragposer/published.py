@@ -1,0 +1,124 @@
+"""DragPoser as published, beside the improved solver of ``solver``.
+
+In each frame Adam changes the latent alone. The root follows from the decoded displacement and
+rotation, and is moved onto the hip's tracker if there is one. lambda_T has its full weight. The
+predictor runs once every W_f frames and decodes the next W_f / 4 latents one after the other. A
+pose that has lost its trackers is not restarted. No measured orientation replaces an estimated one.
+
+Sources: Ponton et al., "DragPoser", 2024, and its released code for the averaging of weights, the
+stopping rule and the root. One difference: the paper starts from the true first pose, which no
+stream contains, so the first frame is solved to convergence by ``solver``.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+import torch
+
+from agents.kinematic.dragposer.model import UNKNOWNS, PosedSkeleton
+from agents.kinematic.dragposer.networks import (
+    HEIGHT_JOINTS,
+    LATENT,
+    PAST,
+    TOKEN_EVERY,
+)
+from agents.kinematic.dragposer.solver import (
+    ADAM_RATE,
+    GOOD_POSITION,
+    GOOD_ROTATION,
+    HIP,
+    DragPoser,
+    Goal,
+    off_trackers,
+)
+from agents.kinematic.interface import DeviceSignals, UserBody
+from questsim import rotations as rot
+
+MATRIX_SHARE = 2.0 / 3.0
+"""The mean squared difference of two rotation matrices, 8/9 sin^2(a/2), over the solver's mean
+squared rotation vector, 4/3 sin^2(a/2)."""
+FUTURE_FRAMES = {6: 1, 5: 1, 4: 16, 3: 16}
+"""W_f by number of trackers (the paper; for 5 as for 6)."""
+
+_Frame = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Latent, root position, root orientation, heights of ``HEIGHT_JOINTS``."""
+
+
+class PublishedDragPoser(DragPoser):
+    """DragPoser as published; see the module's docstring and ``DragPoser``."""
+
+    passes_on = False
+
+    def _begin(self, body: UserBody) -> None:
+        super()._begin(body)
+        self._past: deque[_Frame] = deque(maxlen=PAST * TOKEN_EVERY + 1)
+        self._ahead: list[np.ndarray] = []
+
+    def _goal(self, signals: DeviceSignals) -> Goal:
+        goal = super()._goal(signals)
+        goal.weights = goal.weights * np.array([1.0, MATRIX_SHARE])
+        return goal
+
+    def _solve(self, unknowns: np.ndarray, goal: Goal, iterations: int) -> np.ndarray:
+        if self._latent is None:
+            return self._newton(unknowns, goal, iterations)
+        latent = torch.from_numpy(unknowns[:LATENT].copy())
+        optimiser = torch.optim.Adam([latent], lr=ADAM_RATE)
+        for _ in range(iterations):
+            whole = np.concatenate([latent.numpy(), np.zeros(UNKNOWNS - LATENT)])
+            if goal.joints and _near(self._figure(whole, goal), goal):
+                break
+            residual, jacobian = self._residuals(whole, goal, slopes=True)
+            latent.grad = torch.from_numpy(2.0 * jacobian[:, :LATENT].T @ residual)
+            optimiser.step()
+        whole = np.concatenate([latent.numpy(), np.zeros(UNKNOWNS - LATENT)])
+        if HIP in goal.joints:
+            off = goal.position[goal.joints.index(HIP)] - self._figure(whole, goal).position[HIP]
+            whole[LATENT : LATENT + 3] = off
+        return whole
+
+    def _found_again(self, unknowns: np.ndarray, goal: Goal) -> np.ndarray:
+        return unknowns
+
+    # -- prediction ------------------------------------------------------------------------
+
+    def _expected(self, latent: np.ndarray) -> np.ndarray:
+        if not self.use_predictor or not self._past:
+            return latent
+        if not self._ahead:
+            frames = FUTURE_FRAMES[min(max(len(self._reporting), 3), 6)]
+            tokens = self._predicted(-(-frames // TOKEN_EVERY))
+            # Each frame's target is the next predicted token.
+            self._ahead = [tokens[j // TOKEN_EVERY] for j in range(frames)]
+        return self._ahead.pop(0)
+
+    def _predicted(self, count: int) -> np.ndarray:
+        """The next latents ``(count, 24)``, one every ``TOKEN_EVERY`` frames."""
+        assert self.module.predictor is not None
+        frames = list(self._past)
+        frames = [frames[0]] * (PAST * TOKEN_EVERY + 1 - len(frames)) + frames
+        tokens = []
+        for at in range(TOKEN_EVERY, len(frames), TOKEN_EVERY):
+            latent, root, _, heights = frames[at]
+            _, root_before, turn_before, _ = frames[at - TOKEN_EVERY]
+            moved = rot.quat_rotate(rot.quat_conjugate(turn_before), root - root_before)
+            tokens.append(np.concatenate([latent, moved, heights]))
+        mean, std = self.module.token_mean, self.module.token_std
+        past = (torch.from_numpy(np.stack(tokens)) - mean) / std
+        answer = self.module.predictor(past[None], count)[0]
+        return (answer * std[:LATENT] + mean[:LATENT]).numpy()
+
+    def _note_token(self, figure: PosedSkeleton) -> None:
+        assert self._latent is not None
+        heights = figure.position[list(HEIGHT_JOINTS), 2].copy()
+        self._past.append((self._latent.copy(), self._root, self._turn, heights))
+
+
+def _near(figure: PosedSkeleton, goal: Goal) -> bool:
+    """Whether both weighted losses are below the published limits."""
+    position, rotation = (
+        float(((value * weight) ** 2).sum()) for value, _, weight in off_trackers(figure, goal)
+    )
+    return position <= GOOD_POSITION and rotation <= GOOD_ROTATION
