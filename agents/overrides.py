@@ -13,8 +13,8 @@ from questsim.errors import InputError
 from questsim.files import parse_yaml
 
 WHERE = "--set"
-MAY_BE_ZERO = ("mix_steps",)
-"""Counts for which 0 means off; counts whose default is 0 may also be 0."""
+MAY_BE_ZERO = ("mix_steps", "critic_warmup_steps")
+"""Counts for which 0 means off, whatever the preset's value; a count that is now 0 may stay 0."""
 LARGEST = 1_000_000_000
 
 Preset = TypeVar("Preset")

@@ -34,6 +34,12 @@ def test_numbers_may_be_written_with_an_exponent_alone() -> None:
     assert isinstance(finetune, PPOConfig) and finetune.final_kl == 1e-3
 
 
+def test_a_warm_up_can_be_turned_off_where_the_preset_has_one() -> None:
+    changed = with_overrides(CPU, ["stages.teacher.learning.critic_warmup_steps=0"])
+    teacher = changed.stages["teacher"].learning
+    assert isinstance(teacher, PPOConfig) and teacher.critic_warmup_steps == 0
+
+
 @pytest.mark.parametrize(
     ("assignment", "message"),
     [
