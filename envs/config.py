@@ -21,6 +21,7 @@ from questsim.sensors import DEVICES, SensorNoise, sensor_set
 
 MAX_FUTURE_FRAMES = 6
 MAX_ERROR_M = 1e6
+MAX_UNSCALED_M = 0.4
 SAMPLING = ("uniform", "failure", "kind")
 
 
@@ -53,6 +54,8 @@ class EnvConfig:
         objects: objects in the avatar's way.
         randomisation: random differences between the simulations; None for no differences.
         starts: initial states of episodes; None for the state of the reference.
+        unscaled_m: stature of the avatar minus that of its user. Device signals and reference are
+            those of the user, not scaled to the avatar; errors are measured from the user's links.
     """
 
     sensors: str = "H+2C"
@@ -73,6 +76,7 @@ class EnvConfig:
     objects: tuple[WorldObject, ...] = ()
     randomisation: Randomisation | None = None
     starts: Starts | None = None
+    unscaled_m: float = 0.0
 
     def __post_init__(self) -> None:
         _check_forms(self)
@@ -88,6 +92,12 @@ class EnvConfig:
             raise InputError(
                 f"future_frames is {self.future_frames}, not 0 to {MAX_FUTURE_FRAMES}", "EnvConfig"
             )
+        if not abs(self.unscaled_m) <= MAX_UNSCALED_M:
+            raise InputError(
+                f"unscaled_m is {self.unscaled_m:g}, not within {MAX_UNSCALED_M} m", "EnvConfig"
+            )
+        if self.unscaled_m and self.terrain is not None:
+            raise InputError("does not go with a terrain", "unscaled_m", "leave one out")
         if self.heights is not None:
             low, high = self.heights
             if not MIN_HEIGHT_M <= low <= high <= MAX_HEIGHT_M:
@@ -138,6 +148,7 @@ def _check_forms(config: EnvConfig) -> None:
     check("sampling", f"one of {list(SAMPLING)}", lambda v: v in [*SAMPLING])
     check("future_frames", "a whole number", _whole)
     check("max_error_m", "metres", _number)
+    check("unscaled_m", "metres", _number)
     check(
         "heights",
         "the least and the greatest stature in metres",

@@ -6,7 +6,7 @@ Every interface (gymnasium, vector, stable-baselines3, kinematic) is a thin laye
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -33,10 +33,11 @@ from envs.kernel_arguments import (
     ground_of,
 )
 from envs.layout import SCAN_POINTS, observation_layout, observation_size
-from envs.placement import turn_quat, turned
+from envs.placement import moved, turn_quat, turned
 from envs.randomisation import varied_models
 from envs.reference import Reference
 from envs.sampler import Sampler
+from envs.starts import Estimates
 from envs.surroundings import Surroundings
 from envs.world import build_world
 from questsim import rotations as rot
@@ -100,6 +101,7 @@ class BatchSim:
         shown: clips that agents observe (devices and reference) instead of ``clips``: one for each
             clip, of the same length and stature, e.g. the estimates of a kinematic system. Initial
             states and scores come from ``clips``.
+        begin_at: estimates of the clips' states by name, for ``starts.estimate``.
 
     Attributes:
         layout: slices of an observation by name.
@@ -123,6 +125,7 @@ class BatchSim:
         seed: int = 0,
         num_threads: int = 1,
         shown: Sequence[Clip] | None = None,
+        begin_at: Mapping[str, Clip] | None = None,
     ) -> None:
         self.config = config or EnvConfig()
         self.num_envs = n = len(clips) if num_envs is None else num_envs
@@ -134,7 +137,9 @@ class BatchSim:
         seen = self.reference if shown is None else self._reference_shown(clips, shown, seed)
         self.layout = observation_layout(self.config)
         self.heights = self._heights()
-        self._ratio = self.heights / DEFAULT_HEIGHT_M
+        self._user_heights = self.heights - self.config.unscaled_m
+        self._ratio = self._user_heights / DEFAULT_HEIGHT_M
+        self._estimates = self._estimates_of(begin_at)
         self._build_batch(num_threads, seed)
         self._streams = Streams(n, seed, 0)
         self._sampler = Sampler(
@@ -229,7 +234,18 @@ class BatchSim:
                 else (np.array([np.mean(config.heights)]))
             )
         # Spread evenly over the clips, so that a few environments still cover all statures.
-        return self.reference.heights[np.arange(n) * len(self.reference.heights) // n]
+        heights = self.reference.heights[np.arange(n) * len(self.reference.heights) // n]
+        return heights + config.unscaled_m
+
+    def _estimates_of(self, begin_at: Mapping[str, Clip] | None) -> Estimates | None:
+        asked = self.config.starts is not None and self.config.starts.estimate > 0.0
+        if asked != (begin_at is not None):
+            fix = "give both or neither"
+            raise InputError("starts.estimate and begin_at belong together", "BatchSim", fix)
+        if begin_at is None:
+            return None
+        reference = self.reference
+        return Estimates(begin_at, reference.names, list(reference.end - reference.start))
 
     def _build_batch(self, num_threads: int, seed: int) -> None:
         config = self.config
@@ -290,7 +306,7 @@ class BatchSim:
             clip: the clip that it plays. The reference is this clip, scaled, moved to its place,
                 with its feet adapted to the ground there.
         """
-        scaled, place = clip.scaled(float(self.heights[i])), self.placement
+        scaled, place = clip.scaled(float(self._user_heights[i])), self.placement
         placed = footed_clip(scaled, place.place[i], place.field)
         faults = self._around.faults
         if not faults.jumped[i]:
@@ -359,8 +375,27 @@ class BatchSim:
         qvel[:, :3] *= scale
         if self.placement.field is not None:
             self._put_on_ground(ids, qpos, qvel)
-        self._around.starts.change(ids, clips, qpos, qvel, partial(self._clearance_in, ids))
+        # An avatar of another size than its user stands on the ground like the user.
+        if self.config.unscaled_m != 0.0:
+            qpos[:, 2] *= self.heights[ids] / self._user_heights[ids]
+        estimate = self._estimate(ids, rows, clips)
+        clearance = partial(self._clearance_in, ids)
+        self._around.starts.change(ids, clips, qpos, qvel, clearance, estimate)
         self.qpos[ids, :_NUM_POSITIONS], self.qvel[ids, :_NUM_VELOCITIES] = qpos, qvel
+
+    def _estimate(self, ids: np.ndarray, rows: np.ndarray, clips: np.ndarray) -> Any:
+        """The estimates of rows of the reference, in the world; None without estimates."""
+        if self._estimates is None:
+            return None
+        has, qpos, qvel = self._estimates.at(clips, rows - self.reference.start[clips])
+        scale, place = self._ratio[ids, None], self.placement.place[ids]
+        qpos[:, :3], qvel[:, :3] = moved(place, qpos[:, :3] * scale), turned(place, qvel[:, :3])
+        qvel[:, :3] *= scale
+        qpos[:, 3:7] = rot.quat_multiply(turn_quat(place), qpos[:, 3:7])
+        field = self.placement.field
+        if field is not None:
+            qpos[:, 2] += field.ground_at(qpos[:, :2])
+        return has, qpos, qvel
 
     def _clearance_in(self, ids: np.ndarray, qpos: np.ndarray) -> np.ndarray:
         """Height ``(m,)`` above the ground of the lowest sole point in poses ``(m, 40)``."""

@@ -6,7 +6,7 @@ begin standing at rest, or with a disturbance from which recovery is possible.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,9 @@ from scipy.spatial.transform import Rotation
 from envs.episode_random import Drawing, EpisodeRandom
 from envs.pushes import check_range
 from questsim import rotations as rot
+from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
+from questsim.motion.clip import Clip
 from questsim.skeleton import NUM_DOFS
 
 _CENTRE_M = 0.55
@@ -32,6 +34,8 @@ class Starts:
         still: share that begins in the reference's pose, at rest.
         disturbed: share that begins in the reference's pose with the errors below. Each is drawn
             uniformly up to its greatest value, in a random direction.
+        estimate: share that begins in an estimate of the reference's state, where the environment
+            has one (``begin_at``).
         lean_m: displacement of the centre of mass by a lean of the whole body.
         speed_m_s: speed of the centre of mass as the body topples.
         place_m: horizontal error of the position.
@@ -45,6 +49,7 @@ class Starts:
     standing: float = 0.0
     still: float = 0.0
     disturbed: float = 0.0
+    estimate: float = 0.0
     lean_m: float = 0.1
     speed_m_s: float = 0.6
     place_m: float = 0.05
@@ -52,7 +57,7 @@ class Starts:
     joints_rad: float = 0.1
 
     def __post_init__(self) -> None:
-        for name in ("standing", "still", "disturbed"):
+        for name in ("standing", "still", "disturbed", "estimate"):
             check_range("share", (0.0, getattr(self, name)), 0.0, 1.0, f"starts.{name}")
         if self.total > 1.0:
             raise InputError(f"shares come to {self.total:g}", "starts", "at most 1")
@@ -68,7 +73,50 @@ class Starts:
     @property
     def total(self) -> float:
         """Share of the episodes that do not begin in the reference's own state."""
-        return self.standing + self.still + self.disturbed
+        return self.standing + self.still + self.disturbed + self.estimate
+
+
+class Estimates:
+    """Estimates of the reference's states in which episodes may begin.
+
+    Args:
+        clips: estimates by the name of their clip, in the same coordinates. One that is shorter
+            than its clip is of the clip's first frames.
+        names: names of all clips of the batch.
+        lengths: frames of each.
+
+    Raises:
+        InputError: an estimate is longer than its clip, or there is none at all.
+    """
+
+    def __init__(
+        self, clips: Mapping[str, Clip], names: Sequence[str], lengths: Sequence[int]
+    ) -> None:
+        used = [clips.get(name) for name in names]
+        for name, clip, length in zip(names, used, lengths, strict=True):
+            if clip is not None and len(clip) > length:
+                raise InputError(
+                    f"its estimate has {len(clip)} frames, the motion {length}", name,
+                    "make estimates of these very motions",
+                )  # fmt: skip
+        common = [clip.scaled(DEFAULT_HEIGHT_M) for clip in used if clip is not None]
+        if not common:
+            raise InputError("there is no estimate of these motions", "starts.estimate")
+        self._count = np.array([0 if clip is None else len(clip) for clip in used])
+        self._start = np.cumsum(self._count) - self._count
+        self._qpos = np.concatenate([clip.qpos for clip in common])
+        self._qvel = np.concatenate([clip.qvel for clip in common])
+
+    def at(
+        self, clips: np.ndarray, frames: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Whether there is an estimate ``(m,)`` bool, ``qpos (m, 40)``, ``qvel (m, 39)``.
+
+        The states are those of the 1.75 m body; where there is none they mean nothing.
+        """
+        has = frames < self._count[clips]
+        rows = np.where(has, self._start[clips] + frames, 0)
+        return has, self._qpos[rows].copy(), self._qvel[rows].copy()
 
 
 class Beginnings(Drawing):
@@ -98,6 +146,7 @@ class Beginnings(Drawing):
         qpos: np.ndarray,
         qvel: np.ndarray,
         clearance: Callable[[np.ndarray], np.ndarray],
+        estimate: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
     ) -> None:
         """Change states in place: ``qpos (m, 40)`` and ``qvel (m, 39)`` of simulations ``ids``.
 
@@ -106,6 +155,7 @@ class Beginnings(Drawing):
             qpos, qvel: the reference's state in the world.
             clearance: function of poses ``(m, 40)`` and ids that returns the height ``(m,)`` of
                 the lowest sole point above the ground.
+            estimate: result of ``Estimates.at``, in the world; None without estimates.
         """
         options = self._options
         if options is None or options.total == 0.0 or len(ids) == 0:
@@ -113,15 +163,21 @@ class Beginnings(Drawing):
         numbers = self._random.draw(ids, clips, _NUMBERS)
         standing = numbers[:, 0] < options.standing
         disturbed = ~standing & (numbers[:, 0] < options.standing + options.disturbed)
-        qvel[~standing & ~disturbed & (numbers[:, 0] < options.total)] = 0.0
+        at_reference = options.total - options.estimate
+        qvel[~standing & ~disturbed & (numbers[:, 0] < at_reference)] = 0.0
+        estimated = np.zeros(len(ids), bool)
+        if estimate is not None:
+            has, pose, velocity = estimate
+            estimated = has & (numbers[:, 0] >= at_reference) & (numbers[:, 0] < options.total)
+            qpos[estimated], qvel[estimated] = pose[estimated], velocity[estimated]
         qpos[standing, 3:7] = rot.yaw_quat(rot.heading(qpos[standing, 3:7]))
         qpos[standing, 7:], qvel[standing] = 0.0, 0.0
         self._disturb(disturbed, numbers[disturbed], self._heights[ids], qpos, qvel)
         above = clearance(qpos)
         lift = np.where(disturbed, options.lift_m * numbers[:, 7], 0.0)
-        # Put standing avatars on the ground; lift disturbed ones until no foot is in it.
-        below = np.where(disturbed, np.minimum(above, 0.0), above)
-        changed = standing | disturbed
+        # Put standing avatars on the ground; lift the others until no foot is in it.
+        below = np.where(standing, above, np.minimum(above, 0.0))
+        changed = standing | disturbed | estimated
         qpos[changed, 2] += (lift - below)[changed]
 
     def _disturb(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 
 import pytest
 import torch
@@ -11,7 +12,8 @@ from helpers import swaying_clip
 from agents.agent import Needs
 from agents.commands.evaluate import evaluate_scorecard
 from agents.evaluation.options import ScorecardArgs
-from agents.evaluation.scorecard import BARS, TRIALS, Bar, figure, format_scorecard, scorecard
+from agents.evaluation.scorecard import figure, format_scorecard, scorecard
+from agents.evaluation.scorecard_rows import BARS, TRIALS, Bar
 from agents.policy.checkpoint import save_policy
 from agents.policy.policy_agent import new_policy
 from agents.policy.spec import SPARSE_BLOCKS, Layout, PolicySpec
@@ -21,6 +23,7 @@ from questsim.errors import InputError
 from questsim.motion.library import save_library
 from questsim.motion.retarget_back import to_motion
 
+ROWS = ("h2c", "headset", "now", "short", "tall", "noise", "push-60n")
 VARIANTS = {"tiny": ("H+2C", 6), "tiny-headset": ("H", 6), "tiny-now": ("H+2C", 0)}
 
 
@@ -42,11 +45,14 @@ def library(tmp_path, monkeypatch):
 
 
 def test_each_trial_has_its_sensors_and_height(library, tmp_path):
-    card = scorecard("tiny", str(library), tmp_path / "out", None, threads=1)
-    assert set(card["trials"]) == set(TRIALS)
-    assert len(card["rows"]) == len(BARS)
+    said = []
+    run = partial(scorecard, "tiny", str(library), tmp_path / "out", None, 1, say=said.append)
+    card = run(rows=ROWS)
+    assert set(card["trials"]) == set(ROWS) <= set(TRIALS)
+    assert len(card["rows"]) == sum(bar.trial in ROWS for bar in BARS)
+    assert len(said) == len(ROWS) and "s left" in said[0]
     seen = {}
-    for trial in TRIALS:
+    for trial in ROWS[:5]:
         report = json.loads((tmp_path / "out" / trial / "metrics.json").read_text())
         config = report["context"]["config"]
         seen[trial] = (config["sensors"], config["future_frames"], config["heights"])
@@ -59,6 +65,32 @@ def test_each_trial_has_its_sensors_and_height(library, tmp_path):
     }
     assert json.loads((tmp_path / "out" / "scorecard.json").read_text()) == card
     assert "headset only" in format_scorecard(card)
+    noise = next(row for row in card["rows"] if row["trial"] == "noise")
+    assert noise["bar"] == card["trials"]["h2c"]["all"]["success"] * 100 - 3
+    kept = json.loads((tmp_path / "out" / "h2c" / "trial.json").read_text())
+    kept["figures"]["completed"]["mpjpe_cm"] = 0.125
+    (tmp_path / "out" / "h2c" / "trial.json").write_text(json.dumps(kept))
+    again = run(rows=("h2c",))
+    assert again["trials"]["h2c"]["completed"]["mpjpe_cm"] == 0.125, "a trial is kept"
+    kept["key"] = "of another policy"
+    (tmp_path / "out" / "h2c" / "trial.json").write_text(json.dumps(kept))
+    again = run(rows=("h2c",))["trials"]["h2c"]["completed"]["mpjpe_cm"]
+    assert again == card["trials"]["h2c"]["completed"]["mpjpe_cm"], "of another policy it is not"
+    assert again > 0.125
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"rows": ("h2c", "moon")}, "no 'moon'.*choose from h2c"),
+        ({"rows": ("extra",)}, "needs motions"),
+        ({"rows": ("h2c",), "extra": "synthetic"}, "not among --rows"),
+        ({"rows": ("hurdle",)}, "no clip for these rows"),
+    ],
+)
+def test_rows_that_cannot_be_are_refused(library, options, message):
+    with pytest.raises(InputError, match=message):
+        scorecard("tiny", str(library), None, None, 1, **options)
 
 
 def test_success_is_of_all_clips_and_errors_of_those_completed():

@@ -28,13 +28,19 @@ from questsim.errors import InputError, at_least
 from questsim.evaluation_report import check_writable
 from questsim.exporting.formats import check_format
 from questsim.modes import Mode, Modes
+from questsim.motion.clip import Clip
 
 if TYPE_CHECKING:
     from agents.comparison.scenarios import Scenario
 
-_OF_PHYSICS = ("env", "height", "avatar_height", "terrain", "objects", "begin", "noise")
+_OF_PHYSICS = ("env", "height", "avatar_height", "terrain", "objects", "begin", "noise", "unscaled")
 """Environment options, which do not apply to a kinematic system."""
-_STARTS = {"reference": None, "still": Starts(still=1.0), "standing": Starts(standing=1.0)}
+_STARTS = {
+    "reference": None,
+    "still": Starts(still=1.0),
+    "standing": Starts(standing=1.0),
+    "estimate": Starts(estimate=1.0),
+}
 
 
 def evaluate(args: EvaluateArgs) -> int:
@@ -70,7 +76,8 @@ def evaluate(args: EvaluateArgs) -> int:
         clips = choose_clips(clips, args.max_clips)
     filmed(args, clips)
     assist = AssistUse(args.assist) if args.assist else None
-    rollouts = roll_out(agent, clips, config, args.threads, assist=assist)
+    begin_at = _estimates(clips) if args.begin == "estimate" else None
+    rollouts = roll_out(agent, clips, config, args.threads, assist=assist, begin_at=begin_at)
     context = evaluation_context(args.agent, agent, args.motions, clips, config, args.threads)
     return report(args, rollouts, context | _assisted(assist))
 
@@ -101,7 +108,14 @@ def _config_of(args: EvaluateArgs, config: EnvConfig) -> EnvConfig:
         config = replace(config, objects=objects_named(args.objects, "--objects"))
     if args.noise:
         config = replace(config, randomisation=REAL_DEVICES)
-    return replace(config, starts=_STARTS[args.begin])
+    return replace(config, starts=_STARTS[args.begin], unscaled_m=args.unscaled)
+
+
+def _estimates(clips: Sequence[Clip]) -> dict[str, Clip]:
+    # Imported here: this loads a kinematic system, which other evaluations do not need.
+    from agents.kinematic.first_answers import first_answers
+
+    return first_answers(clips)
 
 
 def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
@@ -186,7 +200,10 @@ def evaluate_scorecard(args: ScorecardArgs) -> int:
     if args.out is not None:
         check_writable(args.out)
     torch.set_num_threads(args.threads)
-    card = scorecard(args.agent, args.motions, args.out, args.max_clips, args.threads, args.seed)
+    card = scorecard(
+        args.agent, args.motions, args.out, args.max_clips, args.threads, args.seed, args.rows,
+        args.extra, _estimates,
+    )  # fmt: skip
     print(format_scorecard(card))
     return 0
 

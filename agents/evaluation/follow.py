@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -63,6 +63,7 @@ def evaluation_sim(
     threads: int = 1,
     seed: int = 0,
     shown: Sequence[Clip] | None = None,
+    begin_at: Mapping[str, Clip] | None = None,
 ) -> BatchSim:
     """One simulation per clip, each starting at its clip's first frame.
 
@@ -72,8 +73,9 @@ def evaluation_sim(
         threads: physics threads.
         seed: seed of the device noise, if any.
         shown: clips that the agent observes instead of ``clips``, see ``BatchSim``.
+        begin_at: estimates in which episodes begin, see ``BatchSim``.
     """
-    return BatchSim(clips, config, len(clips), seed, threads, shown)
+    return BatchSim(clips, config, len(clips), seed, threads, shown, begin_at)
 
 
 def follow(

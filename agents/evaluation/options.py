@@ -8,7 +8,7 @@ from typing import Literal
 
 from agents.resolve import DEFAULT_POLICY, AgentName, TorqueAgentName
 
-Begin = Literal["reference", "still", "standing"]
+Begin = Literal["reference", "still", "standing", "estimate"]
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,15 @@ class EvaluateArgs(_FollowArgs):
     """Scale avatar and clips to this stature in metres; by default each motion's own."""
     avatar_height: float | None = None
     """Stature in metres of an avatar that differs from its user; device signals are scaled."""
+    unscaled: float = 0.0
+    """Stature in metres of the avatar minus its user's; device signals are not scaled then."""
     terrain: str | None = None
     """Terrain, e.g. rough or rough:amplitude_m=0.08, instead of the environment's own."""
     objects: tuple[str, ...] = ()
     """Objects on the clips' paths: ball, box, hurdle, chair."""
     begin: Begin = "reference"
-    """Initial state of the avatar: the user's pose and velocity; the user's pose, at rest; or
-    standing upright at the user's position, at rest."""
+    """Initial state of the avatar: the user's pose and velocity; the user's pose, at rest; standing
+    upright at the user's position, at rest; or the first estimate of HMD-Poser."""
     noise: bool = False
     """Simulate real devices: noise of 5 mm and 1 degree, mounting errors up to 3 cm and 10 degrees,
     latency jitter up to 2 frames, dropouts of up to half a second every few seconds."""
@@ -79,4 +81,9 @@ class ScorecardArgs(_FollowArgs):
     agent: str = DEFAULT_POLICY
     """The name of a shipped policy; others are called after it, e.g. NAME-headset."""
     out: Path | None = None
-    """Folder for scorecard.json and a report of each trial."""
+    """Folder for scorecard.json and a report of each trial. A trial that is already there, of the
+    same policy, motions and versions, is not evaluated again."""
+    rows: tuple[str, ...] = ()
+    """Only these trials, e.g. h2c standing noise; an unknown name lists them all."""
+    extra: str | None = None
+    """More motions that no stage was trained on, with a row of their own."""

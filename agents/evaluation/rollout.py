@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -58,6 +58,7 @@ def roll_out(
     threads: int = 1,
     shown: Sequence[Clip] | None = None,
     assist: AssistUse | None = None,
+    begin_at: Mapping[str, Clip] | None = None,
 ) -> list[Rollout]:
     """Run an agent on clips, in as few batches as memory allows.
 
@@ -68,6 +69,7 @@ def roll_out(
         threads: physics threads.
         shown: clips that the agent observes instead of ``clips``, see ``BatchSim``.
         assist: applies an assisting force; None for physics without one.
+        begin_at: estimates in which episodes begin, see ``BatchSim``.
 
     Returns:
         One rollout per clip, in the order of ``clips``.
@@ -82,7 +84,7 @@ def roll_out(
         part = order[first : first + BATCH_CLIPS]
         batch = [clips[i] for i in part]
         seen = None if shown is None else [shown[i] for i in part]
-        rolled = _roll_out_batch(agent, batch, config, threads, seen, assist)
+        rolled = _roll_out_batch(agent, batch, config, threads, seen, assist, begin_at)
         rollouts.update(zip(part, rolled, strict=True))
     return [rollouts[i] for i in range(len(clips))]
 
@@ -140,8 +142,9 @@ def _roll_out_batch(
     threads: int,
     shown: list[Clip] | None,
     assist: AssistUse | None,
+    begin_at: Mapping[str, Clip] | None,
 ) -> list[Rollout]:
-    sim = evaluation_sim(clips, config, threads, shown=shown)
+    sim = evaluation_sim(clips, config, threads, shown=shown, begin_at=begin_at)
     try:
         agent.bind(sim)
         recorder = Recorder(sim, max(len(clip) for clip in clips))

@@ -1,87 +1,70 @@
-"""The scorecard: one command compares the shipped policies with every bar of the project."""
+"""The scorecard: one command compares the shipped policies with every bar of the project.
+
+A trial that has been evaluated is kept in its own file, so that an interrupted scorecard goes on
+where it was. The file is used again only for the same policy, motions, environment and versions.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from agents.agent import Agent
 from agents.evaluation.follow import choose_clips
 from agents.evaluation.report import evaluation_context
 from agents.evaluation.rollout import env_config, roll_out
+from agents.evaluation.scorecard_rows import BARS, EXTRA, TRIALS, Trial
+from agents.evaluation.standing_pushes import pushed, standing_clip
+from agents.evaluation.worlds import world_clips, world_row
 from agents.loading import load_agent
+from agents.policy.checkpoint import find_policy
+from agents.run_folder import data_record, plain, versions
+from envs.config import EnvConfig
+from questsim.errors import InputError
 from questsim.evaluation_report import LABELS, write_report
 from questsim.files import whole_file
+from questsim.motion.clip import Clip
 
-SCORECARD_FILE = "scorecard.json"
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One evaluation of the scorecard.
-
-    Attributes:
-        suffix: suffix of the agent's name; each sensor set has its own policy.
-        height_m: stature that avatar and clips are scaled to; None for the clips' own.
-        says: label in the table.
-    """
-
-    suffix: str = ""
-    height_m: float | None = None
-    says: str = ""
+SCORECARD_FILE, TRIAL_FILE = "scorecard.json", "trial.json"
+_BATCH_CLIPS = 64
+"""Clips simulated together, of similar length: a batch takes as long as its longest clip."""
+FirstAnswers = Callable[[Sequence[Clip]], Mapping[str, Clip]]
+"""Makes estimates of the first frames of clips, by name."""
 
 
 @dataclass(frozen=True)
-class Bar:
-    """A metric with its minimum requirement (bar) and its target (goal).
+class _Job:
+    """A trial with all that it needs.
 
     Attributes:
-        trial: name in ``TRIALS``.
-        metric: key of the report; ``success`` is over all clips, the others over completed clips.
-        bar, goal: in the metric's unit; success in percent.
+        name: of the trial.
+        trial: what to evaluate.
+        label: name of the agent.
+        agent: the agent.
+        motions: argument that the clips come from.
+        clips: motions to follow.
+        config: the environment.
+        frames: frames to simulate, about.
     """
 
-    trial: str
-    metric: str
-    bar: float
-    goal: float
-
-    def reached(self, value: float | None, limit: float) -> bool:
-        """Whether a figure satisfies a limit."""
-        if value is None:
-            return False
-        return value >= limit if self.metric == "success" else value <= limit
-
-
-TRIALS: dict[str, Trial] = {
-    "h2c": Trial(says="headset and controllers"),
-    "headset": Trial("-headset", says="headset only"),
-    "now": Trial("-now", says="headset and controllers, no future frames"),
-    "short": Trial(height_m=1.45, says="headset and controllers, 1.45 m"),
-    "tall": Trial(height_m=1.95, says="headset and controllers, 1.95 m"),
-}
-
-BARS: tuple[Bar, ...] = (
-    Bar("h2c", "success", 95.0, 99.0),
-    Bar("h2c", "mpjpe_cm", 4.0, 3.0),
-    Bar("h2c", "mpjre_deg", 8.0, 5.7),
-    Bar("h2c", "root_cm", 3.0, 1.8),
-    Bar("h2c", "sip_deg", 12.3, 10.0),
-    Bar("h2c", "jitter_km_s3", 0.5, 0.3),
-    Bar("h2c", "mhpe_cm", 5.0, 3.7),
-    Bar("h2c", "mhre_deg", 10.0, 8.4),
-    Bar("headset", "success", 85.0, 95.0),
-    Bar("now", "success", 85.0, 95.0),
-    Bar("short", "success", 90.0, 97.0),
-    Bar("tall", "success", 90.0, 97.0),
-)
-"""Bars of the project on bandai-namco-2:test; most goals are QuestSim's figures."""
+    name: str
+    trial: Trial
+    label: str
+    agent: Agent
+    motions: str
+    clips: list[Clip]
+    config: EnvConfig
+    frames: int
 
 
 def scorecard(
@@ -91,48 +74,192 @@ def scorecard(
     max_clips: int | None,
     threads: int,
     seed: int = 0,
+    rows: Sequence[str] = (),
+    extra: str | None = None,
+    first_answers: FirstAnswers | None = None,
+    say: Callable[[str], None] = print,
 ) -> dict[str, Any]:
     """Evaluate a policy and its variants, and compare the figures with the bars.
 
     Args:
         agent: name of a shipped policy; its variants have the suffixes of ``TRIALS``.
         motions: the motions to follow; for a test split, also evaluates the training split.
-        out: folder for ``scorecard.json`` and one subfolder per trial with its report.
-        max_clips: follow only this many clips.
+        out: folder for ``scorecard.json`` and one subfolder per trial with its report. Trials
+            that are already there are not evaluated again.
+        max_clips: follow only this many clips in each trial.
         threads: physics threads.
         seed: seed of the embedded motions.
+        rows: names of ``TRIALS`` to evaluate; all that the agent has if empty.
+        extra: motions of the trial ``extra``, which is left out without them.
+        first_answers: estimates for the trial ``estimate``, which is left out without it.
+        say: prints a line after each trial.
 
     Returns:
         The contents of ``scorecard.json``.
 
     Raises:
-        InputError: one of the policies or the motions is missing.
+        InputError: one of the policies, rows or motions is missing.
     """
-    from questsim.motion.spec import load_motions
-
-    agents = {name: load_agent(agent + trial.suffix) for name, trial in TRIALS.items()}
-    clips = load_motions(motions, seed=seed)
-    if max_clips is not None:
-        clips = choose_clips(clips, max_clips)
-    sets = {name: (motions, clips, trial) for name, trial in TRIALS.items()}
-    dataset, _, split = motions.partition(":")
-    if split == "test":
-        learnt = choose_clips(load_motions(f"{dataset}:train"), len(clips))
-        sets["train"] = (f"{dataset}:train", learnt, TRIALS["h2c"])
-        agents["train"] = agents["h2c"]
-    figures = {}
-    for name, (spec, followed, trial) in sets.items():
-        config = env_config(agents[name], height_m=trial.height_m)
-        rollouts = roll_out(agents[name], followed, config, threads)
-        context = evaluation_context(
-            agent + trial.suffix, agents[name], spec, followed, config, threads
-        )
-        figures[name] = _report(rollouts, context, out / name if out else None)
+    jobs = _jobs(agent, motions, max_clips, seed, _chosen(agent, rows, extra, first_answers), extra)
+    if not rows:
+        jobs += _learnt(agent, motions, jobs)
+    left, spent, done = sum(job.frames for job in jobs), 0.0, 0
+    figures: dict[str, Any] = {}
+    for job in jobs:
+        kept, began = _kept(job, out), time.perf_counter()
+        if kept is None:
+            kept = _evaluated(job, out, threads, first_answers)
+            spent, done = spent + time.perf_counter() - began, done + job.frames
+        left -= job.frames
+        figures[job.name] = kept
+        rest = f"about {left * spent / done:.0f} s left" if done else "kept from before"
+        say(f"{job.name}: {100.0 * kept['all']['success']:.1f} % of {len(job.clips)} clips; {rest}")
     card = {"agent": agent, "motions": motions, "rows": _rows(figures), "trials": figures}
     if out is not None:
         with whole_file(out / SCORECARD_FILE) as path:
             path.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
     return card
+
+
+def _chosen(
+    agent: str, rows: Sequence[str], extra: str | None, first_answers: FirstAnswers | None
+) -> list[str]:
+    """Names of the trials to run."""
+    unknown = [name for name in rows if name not in TRIALS]
+    if unknown:
+        raise InputError(
+            f"there is no {unknown[0]!r}", "--rows", f"choose from {', '.join(TRIALS)}"
+        )
+    if EXTRA in rows and extra is None:
+        raise InputError("needs motions", f"--rows {EXTRA}", "add --extra MOTIONS")
+    if rows and extra is not None and EXTRA not in rows:
+        raise InputError("is not among --rows", "--extra", f"add {EXTRA} to --rows")
+    if rows:
+        return [name for name in TRIALS if name in rows]
+    # A tracker observes the whole body, so it has no variants for other devices.
+    variants = not load_agent(agent).needs.privileged
+    return [
+        name
+        for name, trial in TRIALS.items()
+        if (variants or not trial.suffix)
+        and (name != EXTRA or extra is not None)
+        and (not trial.estimate or first_answers is not None)
+    ]
+
+
+def _jobs(
+    agent: str,
+    motions: str,
+    max_clips: int | None,
+    seed: int,
+    names: Sequence[str],
+    extra: str | None,
+) -> list[_Job]:
+    """The trials with their agents and clips; everything is loaded before anything runs."""
+    from questsim.motion.spec import load_motions
+
+    agents = {suffix: load_agent(agent + suffix) for suffix in {TRIALS[n].suffix for n in names}}
+    loaded: dict[tuple[str, int], list[Clip]] = {}
+    jobs = []
+    for name in names:
+        trial = TRIALS[name]
+        spec = (extra if name == EXTRA else trial.motions) or motions
+        key = (spec, seed if trial.seed is None else trial.seed)
+        if trial.push_n is None and key not in loaded:
+            loaded[key] = load_motions(spec, seed=key[1])
+        clips = [standing_clip()] if trial.push_n is not None else loaded[key]
+        if trial.world is not None:
+            clips = world_clips(trial.world, clips)
+            if not clips:  # a row of walking, for motions that do not walk
+                continue
+        if max_clips is not None:
+            clips = choose_clips(clips, max_clips)
+        acting = agents[trial.suffix]
+        config = replace(env_config(acting, height_m=trial.height_m), **trial.changes)
+        settings = 1 if trial.world is None else len(trial.world.settings)
+        frames = sum(map(len, clips)) * (16 if trial.push_n is not None else settings)
+        label = agent + trial.suffix
+        jobs.append(_Job(name, trial, label, acting, spec, list(clips), config, frames))
+    if not jobs:
+        raise InputError("has no clip for these rows", motions, "choose other --rows")
+    return jobs
+
+
+def _learnt(agent: str, motions: str, jobs: Sequence[_Job]) -> list[_Job]:
+    """For a test split also the training split, with as many clips."""
+    from questsim.motion.spec import load_motions
+
+    dataset, _, split = motions.partition(":")
+    if split != "test":
+        return []
+    plain_job = next(job for job in jobs if job.name == "h2c")
+    spec = f"{dataset}:train"
+    clips = choose_clips(load_motions(spec), len(plain_job.clips))
+    frames = sum(map(len, clips))
+    return [replace(plain_job, name="train", motions=spec, clips=clips, frames=frames)]
+
+
+def _key(job: _Job) -> str:
+    """Hash of all that a trial's figures depend on."""
+    digest = hashlib.sha256(json.dumps(plain(versions()), sort_keys=True).encode())
+    digest.update(repr((job.name, job.trial, job.config)).encode())
+    digest.update(data_record(job.motions, job.clips)["sha256"].encode())
+    try:
+        weights = find_policy(job.label)
+    except InputError:  # an agent without weights
+        digest.update(job.label.encode())
+    else:
+        for file in sorted(weights.glob("policy.*")):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _kept(job: _Job, out: Path | None) -> dict[str, Any] | None:
+    """The figures of an earlier evaluation of the same trial."""
+    if out is None:
+        return None
+    try:
+        record = json.loads((out / job.name / TRIAL_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return record["figures"] if record.get("key") == _key(job) else None
+
+
+def _evaluated(
+    job: _Job, out: Path | None, threads: int, first_answers: FirstAnswers | None
+) -> dict[str, Any]:
+    """The figures of a trial; writes its report and the file that keeps it."""
+    folder = None if out is None else out / job.name
+    trial = job.trial
+    if trial.push_n is not None:
+        good = pushed(job.agent, job.clips[0], job.config, float(trial.push_n), threads)
+        figures = _share(float(np.mean(good)))
+    elif trial.world is not None:
+        row = world_row(trial.world, job.agent, job.clips, job.config, threads, 0)
+        figures = _share(row["success"]) | {"world": row}
+    else:
+        begin_at = first_answers(job.clips) if trial.estimate and first_answers else None
+        rollouts = []
+        order = sorted(job.clips, key=len)
+        for first in range(0, len(order), _BATCH_CLIPS):
+            part = order[first : first + _BATCH_CLIPS]
+            names = {clip.name for clip in part}
+            begun = begin_at and {k: v for k, v in begin_at.items() if k in names}
+            rollouts += roll_out(job.agent, part, job.config, threads, begin_at=begun)
+        context = evaluation_context(
+            job.label, job.agent, job.motions, job.clips, job.config, threads
+        )
+        figures = _report(rollouts, context, folder)
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        with whole_file(folder / TRIAL_FILE) as path:
+            record = {"key": _key(job), "figures": figures}
+            path.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    return json.loads(json.dumps(figures))
+
+
+def _share(success: float) -> dict[str, Any]:
+    return {"all": {"success": success}, "completed": {}, "by_kind": {}, "by_style": {}}
 
 
 def _report(rollouts: list[Any], context: dict[str, Any], out: Path | None) -> dict[str, Any]:
@@ -146,6 +273,13 @@ def _report(rollouts: list[Any], context: dict[str, Any], out: Path | None) -> d
 def _rows(figures: Mapping[str, Any]) -> list[dict[str, Any]]:
     rows = []
     for bar in BARS:
+        if bar.trial not in figures:
+            continue
+        if bar.below is not None:
+            if bar.below not in figures:
+                continue
+            whole = figure(figures[bar.below], bar.metric) or 0.0
+            bar = replace(bar, bar=whole - bar.bar, goal=whole - bar.goal)
         value = figure(figures[bar.trial], bar.metric)
         rows.append(
             asdict(bar)
@@ -184,7 +318,7 @@ def format_scorecard(card: Mapping[str, Any], width: int = 100) -> str:
         )
     console = Console(file=io.StringIO(), width=width, color_system=None, markup=False)
     console.print(table)
-    if "train" in card["trials"]:
+    if {"train", "h2c"} <= set(card["trials"]):
         console.print(_gap(card["trials"]))
     lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
     return "\n".join(line.rstrip() for line in lines)
@@ -195,7 +329,7 @@ def _gap(trials: Mapping[str, Any]) -> Table:
     table = Table(title="Clips it learnt from and clips no stage saw", title_justify="left")
     for column in ("figure", "train", "test"):
         table.add_column(column, justify="left" if column == "figure" else "right")
-    for metric in dict.fromkeys(bar.metric for bar in BARS):
+    for metric in dict.fromkeys(bar.metric for bar in BARS if bar.trial == "h2c"):
         values = (figure(trials[name], metric) for name in ("train", "h2c"))
         table.add_row(LABELS[metric], *("-" if v is None else f"{v:.2f}" for v in values))
     return table

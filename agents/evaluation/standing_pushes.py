@@ -32,10 +32,7 @@ def standing_rows(agent: Agent, config: EnvConfig, threads: int = 1) -> list[dic
         config: the environment it needs.
         threads: physics threads.
     """
-    from questsim.motion.spec import load_motions
-
-    needed_s = _BEGIN_S + _FOR_S + AFTER_S
-    clip = next(c for c in load_motions("synthetic:stand") if c.duration > needed_s + 0.1)
+    clip = standing_clip()
     rows = []
     for force_n, bar in BARS.items():
         near = pushed(agent, clip, config, float(force_n), threads)
@@ -54,6 +51,14 @@ def standing_rows(agent: Agent, config: EnvConfig, threads: int = 1) -> list[dic
             }
         )
     return rows
+
+
+def standing_clip() -> Clip:
+    """An embedded clip of standing, long enough for push and recovery."""
+    from questsim.motion.spec import load_motions
+
+    needed_s = _BEGIN_S + _FOR_S + AFTER_S
+    return next(c for c in load_motions("synthetic:stand") if c.duration > needed_s + 0.1)
 
 
 def pushed(

@@ -107,6 +107,7 @@ WORLDS: tuple[World, ...] = (
     ),
 )  # fmt: skip
 SPEED_BAR = 0.6
+WALKING = next(world for world in WORLDS if world.walking)
 
 
 def group_of(kind: str) -> str | None:
@@ -145,26 +146,34 @@ def run_worlds(
     Raises:
         InputError: there is no walking clip.
     """
-    grouped = [clip for clip in clips if group_of(clip.kind)]
-    walking = [clip for clip in grouped if group_of(clip.kind) == "walking"]
-    long_enough = [clip for clip in walking if clip.duration >= _PUSH_END_S + RECOVERY_S]
-    if not long_enough:
+    if not world_clips(WALKING, clips):
         raise InputError(
             f"no clip of walking lasts {_PUSH_END_S + RECOVERY_S:g} s", "--motions", "add some"
         )
     rows = []
     for world in WORLDS:
-        chosen = long_enough if world.walking else grouped
+        chosen = world_clips(world, clips)
         if max_clips is not None:
             chosen = choose_clips(chosen, max_clips)
-        rows.append(_row(world, agent, chosen, config, threads, seed))
+        rows.append(world_row(world, agent, chosen, config, threads, seed))
+    grouped = [clip for clip in clips if group_of(clip.kind)]
     rows += standing_rows(agent, config, threads)
     return {"rows": rows, "speed": terrain_speed(grouped, config, threads)}
 
 
-def _row(
+def world_clips(world: World, clips: Sequence[Clip]) -> list[Clip]:
+    """The clips that a row uses."""
+    grouped = [clip for clip in clips if group_of(clip.kind)]
+    if not world.walking:
+        return grouped
+    walking = [clip for clip in grouped if group_of(clip.kind) == "walking"]
+    return [clip for clip in walking if clip.duration >= _PUSH_END_S + RECOVERY_S]
+
+
+def world_row(
     world: World, agent: Agent, clips: Sequence[Clip], config: EnvConfig, threads: int, seed: int
 ) -> dict[str, Any]:
+    """A row of the table; the arguments are those of ``run_worlds``, the clips ``world_clips``."""
     parts = {}
     by_group: dict[str, list[bool]] = {}
     for name, changes in world.settings.items():

@@ -1,0 +1,76 @@
+"""Episodes that begin in an estimate, and avatars of another size than their user."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import swaying_clip
+
+from agents.kinematic.first_answers import first_answers
+from envs import BatchSim, EnvConfig, Terrain
+from envs.starts import Starts
+from questsim.errors import InputError
+from questsim.motion.kinematics import clip_from_qpos
+from questsim.skeleton import LINKS
+
+CLIPS = [swaying_clip("a", 1.75), swaying_clip("b", 1.6)]
+
+
+def shifted(name: str, height_m: float, frames: int):
+    qpos = swaying_clip(name, height_m).qpos[:frames].copy()
+    qpos[:, :2] += 0.07
+    return clip_from_qpos(name, qpos, height_m)
+
+
+@pytest.mark.parametrize("terrain", [None, Terrain("rough", size_m=16.0)])
+def test_episodes_begin_in_the_estimate_of_their_frame_and_else_in_the_reference(terrain) -> None:
+    config = EnvConfig(starts=Starts(estimate=1.0), terrain=terrain)
+    sim = BatchSim(CLIPS, config, begin_at={"b": shifted("b", 1.6, 10)}, seed=1)
+    plain = BatchSim(CLIPS, EnvConfig(terrain=terrain), seed=1)
+    for clip, frame, off in ((1, 0, 0.07), (1, 9, 0.07), (1, 10, 0.0), (0, 0, 0.0)):
+        for each in (sim, plain):
+            each.reset(np.array([1]), clip, frame)
+        apart = np.linalg.norm(sim.qpos[1, :2] - plain.qpos[1, :2])
+        assert apart == pytest.approx(off * np.sqrt(2.0), abs=1e-6)
+        assert -1e-4 < sim.foot_clearance[1].min() < 0.03
+
+
+def test_estimates_that_cannot_be_are_refused() -> None:
+    config = EnvConfig(starts=Starts(estimate=0.5))
+    with pytest.raises(InputError, match="belong together"):
+        BatchSim(CLIPS, config)
+    with pytest.raises(InputError, match="belong together"):
+        BatchSim(CLIPS, EnvConfig(), begin_at={"a": CLIPS[0]})
+    with pytest.raises(InputError, match="no estimate of these"):
+        BatchSim(CLIPS, config, begin_at={"c": CLIPS[0]})
+    with pytest.raises(InputError, match="estimate has 72 frames, the motion 60"):
+        BatchSim([swaying_clip("a", frames=60)], config, begin_at={"a": CLIPS[0]})
+
+
+@pytest.mark.parametrize("difference", [0.15, -0.15])
+def test_devices_are_not_scaled_to_an_avatar_of_another_size(difference: float) -> None:
+    config = EnvConfig(fixed_start=True)
+    sim = BatchSim(CLIPS, replace(config, unscaled_m=difference))
+    own = BatchSim(CLIPS, config)
+    for each in (sim, own):
+        each.reset()
+    np.testing.assert_allclose(sim.heights, [1.75 + difference, 1.6 + difference])
+    user = sim.layout["o_user"]
+    heights = [s.observation[:, user].reshape(2, 6, 3, 9)[..., 2] for s in (sim, own)]
+    np.testing.assert_allclose(heights[0], heights[1], atol=1e-6)
+    assert np.abs(sim.foot_clearance.min(axis=-1) - own.foot_clearance.min(axis=-1)).max() < 0.005
+    head = (sim.link_positions - own.link_positions)[:, LINKS.index("head"), 2]
+    assert (np.sign(difference) * head > 0.1).all()
+    for i, clip in enumerate(CLIPS):
+        np.testing.assert_allclose(sim.placed_clip(i, clip).qpos, clip.qpos, atol=1e-6)
+    with pytest.raises(InputError, match="does not go with a terrain"):
+        EnvConfig(unscaled_m=0.1, terrain=Terrain())
+
+
+def test_first_answers_are_near_their_user() -> None:
+    (estimate,) = first_answers(CLIPS[:1]).values()
+    assert estimate.height_m == CLIPS[0].height_m and 2 < len(estimate) < 10
+    apart = np.linalg.norm(estimate.link_position[0] - CLIPS[0].link_position[0], axis=-1)
+    assert 1e-3 < apart.mean() < 0.15
