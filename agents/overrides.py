@@ -81,12 +81,12 @@ def _children(holder: Any) -> dict[str, Any]:
 def _converted(old: Any, value: Any, path: str) -> Any:
     """``value`` converted to the type of the old value; None may be replaced by any number."""
     if is_dataclass(old) or isinstance(old, dict):
-        raise InputError("names a group, not a value", f"{WHERE} {path}", "go on with a dot")
+        raise InputError("names a group, not a value", f"{WHERE} {path}", "add a dot and a name")
     if value is None:
         return value
     if old is None:
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(f"{value!r} is no number", f"{WHERE} {path}", "it is now None")
+            raise InputError(f"{value!r} is not a number", f"{WHERE} {path}", "it is now None")
         _check_number(value, old, path)
         return value
     if isinstance(old, tuple) and isinstance(value, list):
@@ -97,7 +97,9 @@ def _converted(old: Any, value: Any, path: str) -> Any:
         return float(value)
     if type(value) is not type(old):
         raise InputError(
-            f"{value!r} is no {type(old).__name__}", f"{WHERE} {path}", f"it is now {old!r}"
+            f"{value!r} is not of type {type(old).__name__}",
+            f"{WHERE} {path}",
+            f"it is now {old!r}",
         )
     _check_number(value, old, path)
     return value
@@ -112,7 +114,7 @@ def _check_number(value: Any, old: Any, path: str) -> None:
     """
     where, now = f"{WHERE} {path}", f"it is now {old!r}"
     if isinstance(value, float) and not math.isfinite(value):
-        raise InputError("is no finite number", where, now)
+        raise InputError("is not a finite number", where, now)
     if isinstance(value, bool) or not isinstance(value, int):
         return
     least = 0 if old == 0 or path.rpartition(".")[2] in MAY_BE_ZERO else 1

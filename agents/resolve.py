@@ -107,7 +107,7 @@ def resolve(path_or_name: str | Path) -> Resolved:
     """
     name = str(path_or_name)
     if not name:
-        raise InputError("an empty name names no agent", fix=f"give a folder or {_known()}")
+        raise InputError("the agent's name is empty", fix=f"give a folder or {_known()}")
     base = base_of(name)
     if base is not None:
         system = resolve_system(base)
@@ -126,7 +126,7 @@ def resolve(path_or_name: str | Path) -> Resolved:
         folder = policy_folder(place)
         if folder is not None:
             return Resolved(name, "policy", name, folder, _card(folder / POLICY_CARD))
-    raise InputError("is no agent", name, f"name a run or checkpoint folder, or {_known()}")
+    raise InputError("is not an agent", name, f"name a run or checkpoint folder, or {_known()}")
 
 
 def _is_own(name: str) -> bool:
@@ -143,7 +143,7 @@ def resolve_policy(path_or_name: str | Path) -> Resolved:
     found = resolve(path_or_name)
     if found.kind != "policy":
         fix = f"name a policy's folder or one of {', '.join(shipped_policies())}"
-        raise InputError("is no torque policy", path_or_name, fix)
+        raise InputError("is not a torque policy", path_or_name, fix)
     return found
 
 
@@ -158,7 +158,7 @@ def resolve_system(path_or_name: str | Path) -> Resolved:
         found = resolve(name)
     if found is None or found.kind != "system":
         fix = f"name a system's folder or one of {', '.join(shipped_systems())}"
-        raise InputError("is no kinematic system", path_or_name, fix)
+        raise InputError("is not a kinematic system", path_or_name, fix)
     return found
 
 

@@ -178,7 +178,7 @@ def only_training(out: Path) -> Iterator[None]:
     """Lock a run folder for one training, and repair files that a killed training half replaced.
 
     Raises:
-        InputError: another training writes there, or the folder cannot be written.
+        InputError: another training is writing there, or the folder cannot be written.
     """
     made = not out.exists()
     try:
@@ -188,7 +188,7 @@ def only_training(out: Path) -> Iterator[None]:
     except Timeout:
         owner = _owner(out)
         raise InputError(
-            f"another training writes there{owner}", out, "wait for it, or choose another --out"
+            f"another training is writing there{owner}", out, "wait for it, or choose another --out"
         ) from None
     except OSError as error:
         reason = error.strerror or str(error)
@@ -232,7 +232,7 @@ def check_same_run(
             option = "--" + name.replace("_", "-")
             raise InputError(f"{option} was {before}, not {value}", out / RECORD, "use it again")
     if record["data"]["sha256"] != data["sha256"]:
-        raise InputError("the motions are not those it was started with", out / RECORD)
+        raise InputError("the motions differ from those at its start", out / RECORD)
 
 
 def default_of(option: Field[Any]) -> Any:

@@ -130,9 +130,11 @@ class BatchSim:
         self.config = config or EnvConfig()
         self.num_envs = n = len(clips) if num_envs is None else num_envs
         if min(n, num_threads) < 1 and clips:
-            raise InputError(f"{n} environments on {num_threads} threads", "BatchSim")
+            raise InputError(
+                f"num_envs is {n} and num_threads {num_threads}, not at least 1", "BatchSim"
+            )
         if self.config.fixed_start and n > len(clips):
-            raise InputError(f"{n} environments for {len(clips)} clips", "fixed_start")
+            raise InputError(f"num_envs is {n}, more than the {len(clips)} clips", "fixed_start")
         self.reference = Reference.of(clips, self.config, seed)
         seen = self.reference if shown is None else self._reference_shown(clips, shown, seed)
         self.layout = observation_layout(self.config)
@@ -213,14 +215,14 @@ class BatchSim:
         self, clips: Sequence[Clip], shown: Sequence[Clip], seed: int
     ) -> Reference:
         if len(clips) != len(shown):
-            raise InputError(f"{len(shown)} clips to show for {len(clips)}", "shown")
+            raise InputError(f"shown has {len(shown)} clips, motions have {len(clips)}", "shown")
         for clip, other in zip(clips, shown, strict=True):
             if len(clip) != len(other) or abs(clip.height_m - other.height_m) > _SAME_HEIGHT_M:
                 raise InputError(
                     f"{len(other)} frames of {other.height_m:.3f} m are shown for {len(clip)} of "
                     f"{clip.height_m:.3f} m",
                     clip.name,
-                    "show what was made of this very clip",
+                    "give a clip that was made from this one",
                 )
         return Reference.of(shown, self.config, seed)
 

@@ -62,7 +62,7 @@ class Placement:
         reach = 0.5 * min(self.field.size) - MARGIN_M - self._radius * ratio.max()
         if reach.min() < 0.0:
             raise InputError(
-                f"its path is {2 * self._radius[reach.argmin()]:.1f} m across, the ground "
+                f"its path is {2 * self._radius[reach.argmin()]:.1f} m wide, but the ground only "
                 f"{min(self.field.size):g} m",
                 reference.names[int(reach.argmin())],
                 "leave it out or make the terrain larger (size_m, tile_m)",

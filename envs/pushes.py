@@ -64,7 +64,7 @@ def check_range(
         good = False
     if not good:
         raise InputError(
-            f"{name} is {low_high!r}, no range within {least:g} to {most:g}",
+            f"{name} is {low_high!r}, not a range within {least:g} to {most:g}",
             where,
             "give the least and the greatest value",
         )

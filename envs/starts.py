@@ -60,7 +60,7 @@ class Starts:
         for name in ("standing", "still", "disturbed", "estimate"):
             check_range("share", (0.0, getattr(self, name)), 0.0, 1.0, f"starts.{name}")
         if self.total > 1.0:
-            raise InputError(f"shares come to {self.total:g}", "starts", "at most 1")
+            raise InputError(f"the shares add up to {self.total:g}", "starts", "at most 1")
         for name, most in (
             ("lean_m", 0.5),
             ("speed_m_s", 3.0),

@@ -40,7 +40,7 @@ def asked_start(
     if clip is None and frame is None:
         return None
     if clip is None and len(reference.names) > 1:
-        raise InputError("a frame of which clip?", f"{where}['frame']", "give clip as well")
+        raise InputError("a frame needs a clip", f"{where}['frame']", "give clip as well")
     index = 0 if clip is None else _clip_index(reference, clip, f"{where}['clip']")
     return index, _first_frame(reference, index, 0 if frame is None else frame, where)
 

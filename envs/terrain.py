@@ -106,7 +106,9 @@ class Terrain:
                 raise InputError(f"{name} is {value!r}, not {least:g} to {most:g}", "terrain")
         for name in ("levels", "seed"):
             if getattr(self, name) != int(getattr(self, name)):
-                raise InputError(f"{name} is {getattr(self, name)!r}, no whole number", "terrain")
+                raise InputError(
+                    f"{name} is {getattr(self, name)!r}, not a whole number", "terrain"
+                )
         for tile in self.tiles:
             if ":" in tile:
                 terrain_named(tile, "tile")
@@ -185,11 +187,15 @@ def terrain_named(text: str, where: str = "terrain") -> Terrain:
         key, equals, value = option.partition("=")
         if not equals or key not in known or key in ("kind", "tiles"):
             settable = ", ".join(k for k in known if k not in ("kind", "tiles"))
-            raise InputError(f"{option!r} is no option of a terrain", where, f"it has {settable}")
+            raise InputError(
+                f"{option!r} is not an option of a terrain", where, f"it has {settable}"
+            )
         try:
             changes[key] = known[key](value)
         except ValueError as error:
-            raise InputError(f"{value!r} is no {known[key].__name__}", f"{where} {key}") from error
+            raise InputError(
+                f"{value!r} is not of type {known[key].__name__}", f"{where} {key}"
+            ) from error
     return replace(TERRAINS[name], **changes)
 
 
@@ -218,7 +224,7 @@ def register_terrain(kind: str, shape: Shape, **options: Any) -> None:
     if kind in TERRAINS and not (kind in SHAPES and same_source(SHAPES[kind], shape)):
         raise InputError(f"there is a terrain {kind!r} already", "register_terrain", "rename it")
     if not kind.isidentifier():
-        raise InputError(f"{kind!r} cannot name a terrain", "register_terrain")
+        raise InputError(f"{kind!r} is not a valid name of a terrain", "register_terrain")
     SHAPES[kind] = shape
     TERRAINS[kind] = Terrain(kind, **options)
     height_field.cache_clear()

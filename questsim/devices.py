@@ -199,7 +199,7 @@ def _read_pose(
     else:
         place, turn = numbers[:3, 3], numbers[:3, :3]
         if np.abs(turn @ turn.T - np.eye(3)).max() > UNIT_TOLERANCE or np.linalg.det(turn) < 0:
-            raise InputError(f"matrix of {name} is no rotation", "device frame")
+            raise InputError(f"matrix of {name} is not a rotation", "device frame")
         quat = rot.matrix_to_quat(axes @ turn @ axes.T)
     position = convention.unit_m * (axes @ place)
     if np.abs(position).max() > MAX_DISTANCE_M:

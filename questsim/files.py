@@ -108,9 +108,9 @@ def read_yaml(path: Path, what: str) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror or error})", path) from error
     except ValueError as error:
-        raise InputError(f"is no {what}", path) from error
+        raise InputError(f"is not a valid {what}", path) from error
     if not isinstance(value, dict):
-        raise InputError(f"is no {what}", path)
+        raise InputError(f"is not a valid {what}", path)
     return value
 
 

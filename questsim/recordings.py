@@ -90,7 +90,7 @@ class RecordingWriter:
         decimals: int = DECIMALS,
     ) -> None:
         if not path.name.endswith(SUFFIX):
-            raise InputError(f"is no {SUFFIX}", path, f"name it {path.stem}{SUFFIX}")
+            raise InputError(f"is not a {SUFFIX} file", path, f"name it {path.stem}{SUFFIX}")
         convention_named(convention)
         self._path, self._convention, self._decimals = path, convention, decimals
         self._header = {
@@ -163,7 +163,7 @@ def read_recording(path: Path, convention: str | None = None) -> Recording:
     if name.endswith(".csv"):
         if convention is None:
             raise InputError(
-                "a CSV file does not say its axes", path, "add --convention unity, ..."
+                "a CSV file does not state its axes", path, "add --convention unity, ..."
             )
         try:
             frames = _csv_frames(path, convention)
@@ -172,12 +172,12 @@ def read_recording(path: Path, convention: str | None = None) -> Recording:
             raise InputError(f"cannot be read as CSV ({reason})", path) from None
         return _checked(path, frames, None)
     if convention is not None:
-        raise InputError("the file says its convention itself", path, "leave --convention out")
+        raise InputError("the file already states its convention", path, "leave --convention out")
     if name.endswith(SUFFIX):
         return _read_own(path)
     if name.endswith(".json"):
         return _checked(path, _iwer_frames(path), None)
-    raise InputError("is no recording", path, f"use {SUFFIX}, .json of iwer, or .csv")
+    raise InputError("is not a recording", path, f"use {SUFFIX}, .json of iwer, or .csv")
 
 
 def example_path() -> Path:
@@ -197,7 +197,7 @@ def _checked(
             raise InputError(
                 f"time goes from {a.time_s:.4f} to {b.time_s:.4f} s",
                 f"{path}, frame {number + 2}",
-                "frames have to be in order",
+                "frames must be in order of time",
             )
     return Recording(tuple(frames), calibration)
 
@@ -212,10 +212,10 @@ def _read_own(path: Path) -> Recording:
                 if not text:
                     break
                 if len(text) > MAX_LINE:
-                    raise InputError("is too long a line for a frame", where)
+                    raise InputError("the line is too long for a frame", where)
                 line = _parsed(text, where)
                 if not isinstance(line, dict):
-                    raise InputError("is no JSON object", where)
+                    raise InputError("is not a JSON object", where)
                 if header is None:
                     header = _checked_header(line, where)
                     continue
@@ -224,7 +224,9 @@ def _read_own(path: Path) -> Recording:
                 time_s = line.pop("t")
                 frames.append(_frame(time_s, line, header["convention"], where))
     except (OSError, EOFError, UnicodeDecodeError, zlib.error):
-        raise InputError("is no gzip of text, or ends too early", path, "record it again") from None
+        raise InputError(
+            "is not gzip-compressed text, or is incomplete", path, "record it again"
+        ) from None
     if header is None:
         raise InputError("is empty", path)
     return _checked(path, frames, header.get("calibration"))
@@ -234,7 +236,7 @@ def _parsed(text: str, where: str) -> Any:
     try:
         return parse_json(text)
     except ValueError as error:
-        raise InputError(f"is no JSON: {error}", where) from None
+        raise InputError(f"is not JSON: {error}", where) from None
 
 
 def _checked_header(line: dict[str, Any], where: str) -> dict[str, Any]:
@@ -290,7 +292,7 @@ def _number(cell: str | None, column: str, where: str) -> float:
     try:
         return float(cell or "")
     except ValueError:
-        raise InputError(f"{column} is {cell!r}, no number", where) from None
+        raise InputError(f"{column} is {cell!r}, not a number", where) from None
 
 
 def _iwer_frames(path: Path) -> list[DeviceFrame]:
@@ -304,7 +306,9 @@ def _iwer_frames(path: Path) -> list[DeviceFrame]:
         schema = {int(index): dict(source) for index, source in content["schema"]}
         lines = list(content["frames"])
     except (OSError, KeyError, TypeError, ValueError):
-        raise InputError("is no recording of iwer", path, "give what ActionRecorder logs") from None
+        raise InputError(
+            "is not a recording of iwer", path, "give what ActionRecorder logs"
+        ) from None
     frames = []
     for number, line in enumerate(lines, 1):
         where = f"{path}, frame {number}"
@@ -316,7 +320,7 @@ def _iwer_frames(path: Path) -> list[DeviceFrame]:
                 if about.get("hasGrip") and side in ("left", "right"):
                     poses[f"{side}_controller"] = list(source[8])
         except (IndexError, KeyError, TypeError, ValueError):
-            raise InputError("is no frame of iwer", where) from None
+            raise InputError("is not a frame of iwer", where) from None
         frames.append(_frame(time_s, _unit(poses), "openxr", where))
     return frames
 

@@ -155,7 +155,7 @@ def register_term(name: str, function: Function, weight: float = 0.0, k: float =
     if name in COMPILED or (name in TERMS and not same_source(TERMS[name].function, function)):
         raise InputError(f"there is a reward term {name!r} already", "register_term", "rename it")
     if not name.isidentifier() or name.startswith(("k_", "_")):
-        raise InputError(f"{name!r} cannot name a reward term", "register_term")
+        raise InputError(f"{name!r} is not a valid name of a reward term", "register_term")
     TERMS[name] = Term(function, float(weight), float(k))
     RewardConfig.__dataclass_fields__ = _options()
     return function

@@ -142,5 +142,5 @@ def read_clips(where: Path) -> dict[str, dict[str, str]]:
     except (UnicodeDecodeError, csv.Error):
         rows = []
     if not rows or not {"name", "completed", *PAIRED} <= rows[0].keys():
-        raise InputError("is no list of an evaluation's clips", file, fix)
+        raise InputError("is not the clip list of an evaluation", file, fix)
     return {row["name"]: row for row in rows}

@@ -134,7 +134,7 @@ def test_a_checkpoint_from_before_there_were_switches_has_all_parts(agent, tmp_p
     assert loaded.keys() == module.state_dict().keys()
     card["spec"].popitem()
     (tmp_path / "system.yaml").write_text(yaml.safe_dump(card))
-    with pytest.raises(InputError, match="the sizes are incomplete"):
+    with pytest.raises(InputError, match="the description of the networks is incomplete"):
         load_module(tmp_path)
 
 
@@ -445,7 +445,7 @@ def test_a_stop_during_a_training_leaves_what_can_be_gone_on_with(library, tmp_p
     ("options", "message"),
     [
         (["--agent", "nobody"], "no ablations of 'nobody'"),
-        (["--agent", "lgsik", "--steps", "1"], "--out: names no folder"),
+        (["--agent", "lgsik", "--steps", "1"], "--out: is missing"),
         (["--agent", "lgsik", "--out", "OUT"], "--minutes: ablations need a budget"),
         (["--agent", "lgsik", "--out", "OUT", "--minutes", "0"], "--minutes: is 0, not above 0"),
         (["--agent", "lgsik", "--out", "OUT", "--minutes", "-1"], "--minutes: is -1, not above"),

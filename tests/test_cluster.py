@@ -12,9 +12,10 @@ import pytest
 import torch
 from learners import QUICK, SMALL, nothing
 
-from agents.training.cluster import BatchSpec, RolloutWorker, ray_cluster, weights_of
+from agents.training.cluster import ray_cluster
 from agents.training.make_learner import make_ppo
 from agents.training.presets import StageConfig
+from agents.training.rollout_worker import BatchSpec, RolloutWorker, weights_of
 from envs.config import EnvConfig
 from questsim.cli import main
 from questsim.errors import InputError
@@ -122,7 +123,7 @@ def test_a_batch_that_cannot_be_shared_out_is_refused(batch, cluster):
 def test_more_workers_than_cores_are_refused(batch, cluster):
     from agents.training.cluster import ActorPool
 
-    with pytest.raises(InputError, match="want 4 cores, the cluster has 2"):
+    with pytest.raises(InputError, match="need 4 cores, the cluster has 2"):
         ActorPool(batch, 4)
 
 
@@ -145,5 +146,5 @@ def test_train_py_trains_with_workers_and_goes_on_with_others(tmp_path, cluster,
 def test_a_cluster_without_workers_is_refused(tmp_path, capsys):
     line = f"train --preset smoke --out {tmp_path / 'run'} --ray localhost:6379"
     assert main(line.split()) == 2
-    assert "--ray: is for workers; add --workers N" in capsys.readouterr().err
+    assert "--ray: needs --workers; add --workers N" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()

@@ -76,9 +76,12 @@ def test_one_command_scores_all_systems_on_the_same_frames(tmp_path, capsys):
     ("options", "message"),
     [
         ({"agents": ("ik",), "sensors": "7T"}, "unknown sensor set '7T'"),
-        ({"agents": ("ik",), "sensors": "H"}, "ik is not run with H"),
-        ({"agents": ("nobody",)}, "nobody: is no agent; name .* or .*questsim, .*hmdposer.*zero"),
-        ({"agents": ("nobody+physics",)}, "nobody: is no kinematic system"),
+        ({"agents": ("ik",), "sensors": "H"}, "ik does not support H"),
+        (
+            {"agents": ("nobody",)},
+            "nobody: is not an agent; name .* or .*questsim, .*hmdposer.*zero",
+        ),
+        ({"agents": ("nobody+physics",)}, "nobody: is not a kinematic system"),
     ],
 )
 def test_a_comparison_without_what_it_needs_is_refused(options, message, tmp_path):

@@ -35,10 +35,10 @@ def test_an_estimate_is_a_library_of_motions_and_clips_named_after_the_system(tm
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--agent", "nobody"), "is no kinematic system"),
-        (("--agent", "hmdposer", "--sensors", "6T"), "hmdposer is not used with 6T"),
+        (("--agent", "nobody"), "is not a kinematic system"),
+        (("--agent", "hmdposer", "--sensors", "6T"), "hmdposer does not support 6T"),
         (("--agent", "hmdposer", "--sensors", "7T"), "unknown sensor set '7T'"),
-        (("--agent", "questsim"), "is no kinematic system"),
+        (("--agent", "questsim"), "is not a kinematic system"),
     ],
 )
 def test_what_cannot_estimate_is_refused_in_one_line(options, message, tmp_path, capsys):

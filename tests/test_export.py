@@ -262,7 +262,7 @@ def test_agents_without_a_policy_are_refused(name, tmp_path, capsys):
     words = ["export", "--agent", name, "--format", "onnx", "--out", str(tmp_path / "x.onnx")]
     assert cli.main(words) == 2
     line = capsys.readouterr().err
-    assert line.startswith(f"error: {name}: is no torque policy; ") and "questsim" in line
+    assert line.startswith(f"error: {name}: is not a torque policy; ") and "questsim" in line
     assert line.count("\n") == 1
 
 

@@ -70,8 +70,8 @@ def own(path: Path, *lines: str) -> Path:
 @pytest.mark.parametrize(
     ("line", "reason"),
     [
-        ("[" * 50_000, "line 2: is no JSON: nested too deeply"),
-        ('{"t": ' + "1" * 5000 + "}", "line 2: is no JSON: a number is too long"),
+        ("[" * 50_000, "line 2: is not JSON: nested too deeply"),
+        ('{"t": ' + "1" * 5000 + "}", "line 2: is not JSON: a number is too long"),
         (" " * 200_000, "line 2: is too long a line"),
     ],
 )
@@ -85,7 +85,7 @@ def test_a_recording_with_damaged_packing_is_refused(tmp_path):
     data = bytearray(path.read_bytes())
     data[12:30] = b"\xff" * 18
     path.write_bytes(bytes(data))
-    with pytest.raises(InputError, match="is no gzip of text"):
+    with pytest.raises(InputError, match="is not gzip-compressed text"):
         read_recording(path)
 
 

@@ -168,7 +168,7 @@ def test_options_of_a_vector_are_for_all_or_for_each() -> None:
         ({"clip": 0, "frame": 100000}, r"frame'\]: is 100000, not 0 to 70 of clip 'a'"),
         ({"clip": 0, "frame": -5}, r"frame'\]: is -5, not 0 to 70"),
         ({"clip": 0, "frame": 1.5}, "whole number"),
-        ({"frame": 5}, "of which clip"),
+        ({"frame": 5}, "a frame needs a clip"),
         ({"clip": "nobody"}, "no clip is named 'nobody'.*there are a, b, c"),
         ({"clip": 3}, "is 3, not 0 to 2"),
         ({"clips": 1}, "there is no 'clips'"),

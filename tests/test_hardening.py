@@ -93,7 +93,7 @@ with only_training(Path({str(tmp_path)!r}) / "run"):
         assert other.stdout.readline() == "held\n"
         with (
             pytest.raises(
-                InputError, match=rf"another training writes there \(process {other.pid}"
+                InputError, match=rf"another training is writing there \(process {other.pid}"
             ),
             only_training(tmp_path / "run"),
         ):

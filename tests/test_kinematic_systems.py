@@ -241,7 +241,7 @@ def test_a_bad_frame_is_refused_and_the_stream_goes_on(agent, change, message):
 
 
 def test_step_before_reset_is_refused():
-    with pytest.raises(InputError, match="reset comes before step"):
+    with pytest.raises(InputError, match="step was called before reset"):
         system_of("hmdposer").step(stream("H+2C")[0])
 
 

@@ -172,10 +172,14 @@ def test_a_training_starts_with_the_weights_of_an_earlier_one_and_its_card_tells
 @pytest.mark.parametrize(
     ("agent", "options", "message"),
     [
-        ("lgsik", {"start": Path("gone")}, "gone: is no kinematic system"),
-        ("hmdposer", {}, "is of lgsik, not of hmdposer"),
-        ("lgsik", {"set": ("spec.size=24",)}, "is of other sizes; use its --preset and --set"),
-        ("lgsik", {"set": ("spec.graph=false",)}, "is of other sizes"),
+        ("lgsik", {"start": Path("gone")}, "gone: is not a kinematic system"),
+        ("hmdposer", {}, "is of the family lgsik, not hmdposer"),
+        (
+            "lgsik",
+            {"set": ("spec.size=24",)},
+            "has networks of other sizes; use its --preset and --set",
+        ),
+        ("lgsik", {"set": ("spec.graph=false",)}, "has networks of other sizes"),
     ],
 )
 def test_a_start_that_does_not_fit_is_refused_and_leaves_no_run(
@@ -264,7 +268,7 @@ def test_a_system_is_not_shipped_with_figures_of_another_or_without_licence(ship
     out = tmp_path / "run"
     train_system(arguments("lgsik", motions, out, steps=2))
     report = shipped / "scores" / "comparison.json"
-    with pytest.raises(InputError, match="does not have this system"):
+    with pytest.raises(InputError, match="has no results of this system"):
         ship(ShipArgs(out, "mine", metrics=(report,), into=tmp_path))
     with pytest.raises(InputError, match="have no stated licence"):
         ship(ShipArgs(out / "network", "mine", into=tmp_path))

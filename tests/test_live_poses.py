@@ -275,7 +275,7 @@ def test_physics_behind_a_system_moves_the_avatar_by_torques_after_its_poses():
     live.change(height_m=1.5)
     shown = advance(live, 10)
     assert shown.outcome == "" and 0.0 < shown.error_m < 0.15
-    with pytest.raises(InputError, match="nobody: is no kinematic system"):
+    with pytest.raises(InputError, match="nobody: is not a kinematic system"):
         load_driver("nobody+physics", USERS)
 
 

@@ -19,7 +19,7 @@ from agents.policy.checkpoint import load_resume
 from agents.policy.policy_agent import PolicyAgent
 from agents.shipping.provenance import commands, options_of, stages_behind
 from agents.shipping.ship import ShipArgs, ship
-from agents.training import cluster
+from agents.training import rollout_worker
 from agents.training import train_policy as training
 from agents.training.options import TrainArgs
 from agents.training.train_policy import train
@@ -87,7 +87,7 @@ def test_a_course_is_as_hard_as_its_difficulty() -> None:
 
 
 def test_a_tile_with_an_option_that_is_none_is_refused() -> None:
-    with pytest.raises(InputError, match="'amplitude=1' is no option"):
+    with pytest.raises(InputError, match="'amplitude=1' is not an option"):
         Terrain("course", tiles=("rough:amplitude=1",))
     with pytest.raises(InputError, match=r"flat_share is 1\.5"):
         terrain_named("mixed:flat_share=1.5")
@@ -161,7 +161,7 @@ def test_teacher_and_student_learn_on_mixed_ground_under_pushes(
     clips, tmp_path, monkeypatch
 ) -> None:
     made: list[EnvConfig] = []
-    vec_env, sim = cluster.QuestVecEnv, training.evaluation_sim
+    vec_env, sim = rollout_worker.QuestVecEnv, training.evaluation_sim
 
     def see_env(clips, config, *rest):
         made.append(config)
@@ -171,7 +171,7 @@ def test_teacher_and_student_learn_on_mixed_ground_under_pushes(
         made.append(config)
         return sim(clips, config, *rest, **others)
 
-    monkeypatch.setattr(cluster, "QuestVecEnv", see_env)
+    monkeypatch.setattr(rollout_worker, "QuestVecEnv", see_env)
     monkeypatch.setattr(training, "evaluation_sim", see_sim)
     out = tmp_path / "run"
     assert train(tiny(out, **WILD)) == 0

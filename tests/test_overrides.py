@@ -45,11 +45,11 @@ def test_a_warm_up_can_be_turned_off_where_the_preset_has_one() -> None:
     [
         ("num_envs", "not path=value"),
         ("stages.pupil.share=1", "no 'pupil'.*teacher"),
-        ("num_envs=many", "'many' is no int"),
+        ("num_envs=many", "'many' is not of type int"),
         ("stages.teacher.learning=3", "names a group"),
         ("num_envs.x=3", "no 'x'"),
         ("num_envs=[", "not a YAML value"),
-        ("stages.finetune.learning.final_kl=low", "'low' is no number"),
+        ("stages.finetune.learning.final_kl=low", "'low' is not a number"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_the_path(assignment: str, message: str) -> None:

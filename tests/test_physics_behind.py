@@ -147,7 +147,7 @@ def test_an_evaluation_of_a_system_with_physics_writes_the_report_of_the_policie
     assert report["all"]["success"] == 1.0 and report["all"]["mpjpe_cm"] < 5.0
     with pytest.raises(InputError, match="--terrain: does not go with ik"):
         evaluate(replace(args, terrain="rough"))
-    with pytest.raises(InputError, match="nobody: is no kinematic system"):
+    with pytest.raises(InputError, match="nobody: is not a kinematic system"):
         evaluate(replace(args, agent="nobody+physics"))
 
 

@@ -125,7 +125,7 @@ GOOD = {"t": 0.0, "headset": [0, 1.6, 0, 0, 0, 0, 1]}
         ([HEADER, GOOD | {"headset": [0, 1]}], "line 2: pose of headset has shape"),
         ([HEADER, GOOD | {"hat": GOOD["headset"]}], "line 2: unknown device 'hat'"),
         ([HEADER, {"t": 0.0}], "no frame has a headset"),
-        ([HEADER, 5], "line 2: is no JSON object"),
+        ([HEADER, 5], "line 2: is not a JSON object"),
     ],
 )
 def test_what_is_no_recording_is_refused_with_its_line(tmp_path, lines, says):
@@ -186,7 +186,7 @@ def test_replay_writes_scores_and_refuses_what_it_cannot_write(tmp_path, capsys)
     replay(ReplayArgs(path, agent="questsim-now", calibrate=1.5, out=out))
     scores = json.loads(out.read_text())["scores"]
     assert scores["falls"] == 0 and "mhpe_cm" in capsys.readouterr().out
-    with pytest.raises(InputError, match="nothing says how tall"):
+    with pytest.raises(InputError, match="the user's height is unknown"):
         replay(ReplayArgs(path, agent="questsim-now", calibrate=0.0))
     with pytest.raises(InputError, match=r"does not end in one of \.json"):
         replay(ReplayArgs(path, out=tmp_path / "x.doc"))

@@ -87,15 +87,15 @@ def test_what_is_no_agent_is_refused_with_all_that_there_is():
     with pytest.raises(InputError) as refused:
         resolve("nobody")
     line = str(refused.value)
-    assert "\n" not in line and line.startswith("nobody: is no agent")
+    assert "\n" not in line and line.startswith("nobody: is not an agent")
     for name in ("questsim", "estimate-tracker", "hmdposer", "ik", "zero", "random", PHYSICS):
         assert name in line
     for wrong in ("nobody+physics", "questsim+physics", "zero+physics"):
-        with pytest.raises(InputError, match=r"is no kinematic system; .*hmdposer.*ik"):
+        with pytest.raises(InputError, match=r"is not a kinematic system; .*hmdposer.*ik"):
             resolve(wrong)
-    with pytest.raises(InputError, match=r"hmdposer: is no torque policy; .*questsim"):
+    with pytest.raises(InputError, match=r"hmdposer: is not a torque policy; .*questsim"):
         resolve_policy("hmdposer")
-    with pytest.raises(InputError, match="questsim: is no kinematic system"):
+    with pytest.raises(InputError, match="questsim: is not a kinematic system"):
         resolve_system("questsim")
     with pytest.raises(InputError, match=r"gives no torques; .*ik\+physics"):
         load_agent("ik")

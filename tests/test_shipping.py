@@ -129,7 +129,7 @@ def test_card_tells_data_licence_commands_seed_and_hours(run, tmp_path):
         f"python train.py {options} --stage teacher --minutes 180 --out runs/NAME\n"
         f"python train.py {options} --stage student --minutes 45 --out runs/NAME --resume\n"
     ) in card
-    assert "6 frames of the future: 170 ms" in card
+    assert "6 future frames, a delay of 170 ms" in card
     assert str(tmp_path) not in card
     assert "It has not been evaluated." in card
 
@@ -180,7 +180,7 @@ def test_metrics_of_another_policy_are_refused_and_the_old_one_stays(run, tmp_pa
 def test_what_is_no_report_is_refused(run, tmp_path, content):
     path = tmp_path / "metrics.json"
     path.write_text(content)
-    with pytest.raises(InputError, match="is no report"):
+    with pytest.raises(InputError, match="is not a report"):
         ship(ShipArgs(run, "walker", (path,), tmp_path / "weights"))
     assert not (tmp_path / "weights").exists()
 
@@ -231,8 +231,8 @@ def test_policy_of_our_own_motions_is_under_our_licence(tmp_path):
     card = card_of(tmp_path / "weights" / "demo")
     assert "| licence | MIT |" in card
     assert "commercial" not in card
-    assert "the present frame of headset, left controller, right controller" in card
-    assert "of the future" not in card
+    assert "the current frame of headset, left controller, right controller" in card
+    assert "future frames" not in card
 
 
 def test_policy_from_motions_without_a_licence_is_refused(tmp_path):

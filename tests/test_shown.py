@@ -73,7 +73,7 @@ def test_an_agent_sees_what_is_shown_and_is_held_against_what_was_done(terrain) 
 
 
 def test_what_is_shown_must_be_of_these_clips() -> None:
-    with pytest.raises(InputError, match="1 clips to show for 2"):
+    with pytest.raises(InputError, match="1 clips, motions have 2"):
         BatchSim(CLIPS, PRIVILEGED, shown=SHOWN[:1])
     with pytest.raises(InputError, match=r"a: 50 frames of 1.600 m are shown for \d+ of 1.750 m"):
         BatchSim(CLIPS, PRIVILEGED, shown=SHOWN[::-1])
@@ -158,7 +158,7 @@ def test_truths_are_as_tall_as_what_is_estimated_of_their_recordings(
     save_library(path, [to_motion(recorded)], [estimate_of(recorded)])
     learnt = []
     monkeypatch.setattr(
-        "agents.training.cluster.QuestVecEnv",
+        "agents.training.rollout_worker.QuestVecEnv",
         lambda clips, *rest: learnt.extend(clips) or QuestVecEnv(clips, *rest),
     )
     args = tiny(tmp_path / "run", stage="student", teacher=Path("tracker"), estimates=str(path))
@@ -171,8 +171,8 @@ def test_truths_are_as_tall_as_what_is_estimated_of_their_recordings(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"stage": "teacher", "teacher": None}, "--estimates: are not for stage teacher"),
-        ({"mirrored": True}, "--estimates: are not mirrored"),
+        ({"stage": "teacher", "teacher": None}, "--estimates: does not go with --stage teacher"),
+        ({"mirrored": True}, "--estimates: does not go with --mirrored"),
     ],
 )
 def test_who_has_no_use_for_estimates_is_told(options, message, library, tmp_path) -> None:

@@ -76,5 +76,5 @@ def test_compare_runs_refuses_what_is_no_evaluation(two, tmp_path, capsys):
     assert "has no clips.csv; name a folder" in capsys.readouterr().err
     other = write(tmp_path / "c", [0.02])
     (other / "clips.csv").write_text("name,completed\nx,1\n")
-    with pytest.raises(InputError, match="is no list"):
+    with pytest.raises(InputError, match="is not the clip list"):
         paired(two[0], other)

@@ -363,7 +363,7 @@ def test_a_terrain_is_read_from_its_name_and_options() -> None:
         ("lava", "unknown terrain"),
         ("rough:depth=1", "no option of a terrain"),
         ("rough:seed", "no option"),
-        ("rough:seed=a", "'a' is no int"),
+        ("rough:seed=a", "'a' is not of type int"),
         ("rough:amplitude_m=9", "amplitude_m is 9"),
     ):
         with pytest.raises(InputError, match=message):

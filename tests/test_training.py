@@ -176,7 +176,7 @@ def test_held_out_style_is_evaluated_and_not_learnt():
     assert [c.name for c in fixed] == ["old"]
     with pytest.raises(InputError, match="'angry'"):
         split_validation(clips, "angry", 10)
-    with pytest.raises(InputError, match="nothing is left"):
+    with pytest.raises(InputError, match="no clips are left"):
         split_validation(clips, "calm,old,young", 10)
 
 
@@ -236,7 +236,7 @@ def test_a_teacher_begins_with_another_teachers_weights_and_says_so(clips, tmp_p
             assert (tensor - weights[name]).abs().max() < 0.02, name
     parts = stages_behind(tmp_path / "b" / "teacher" / "best")
     assert [part.run.name for part in parts] == ["a", "b"]
-    with pytest.raises(InputError, match="is no agent"):
+    with pytest.raises(InputError, match="is not an agent"):
         train(replace(begun, out=tmp_path / "c", start=tmp_path / "none"))
     wider = "stages.teacher.policy.hidden=[64]"
     with pytest.raises(InputError, match="networks do not fit"):
@@ -272,7 +272,7 @@ def test_student_of_another_sensor_set_has_the_same_teacher(clips, tmp_path):
     agent = load_agent(tmp_path / "s")
     assert isinstance(agent, PolicyAgent)
     assert agent.policy.layout.sizes()["o_user"] == 9
-    with pytest.raises(InputError, match="is no teacher"):
+    with pytest.raises(InputError, match="is not a teacher"):
         train(tiny(tmp_path / "u", stage="student", teacher=tmp_path / "s"))
 
 

@@ -54,13 +54,13 @@ def evaluate(args: EvaluateArgs) -> int:
     at_least(1, threads=args.threads, max_clips=args.max_clips)
     at_least(0, seed=args.seed)
     if args.video_clips and not args.video:
-        raise InputError("there is no video to show them", "--video-clips", "add --video")
+        raise InputError("needs a video", "--video-clips", "add --video")
     if args.video and args.out is None:
-        raise InputError("a video needs a folder", "--video", "add --out DIR")
+        raise InputError("needs a folder", "--video", "add --out DIR")
     if args.save_motion is not None:
         check_format(args.save_motion, "--save-motion")
         if args.out is None:
-            raise InputError("motions need a folder", "--save-motion", "add --out DIR")
+            raise InputError("needs a folder", "--save-motion", "add --out DIR")
     found = resolve(args.agent)
     _refuse_unused(args, ("sensors",) if found.torques else _OF_PHYSICS)
     if args.out is not None:
@@ -142,7 +142,9 @@ def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
         context = evaluation_context(args.agent, tracker, args.motions, clips, config, args.threads)
         return report(args, rollouts, context | _assisted(assist))
     if args.assist:
-        raise InputError(f"{args.agent} has no physics to help", "--assist", "leave it out")
+        raise InputError(
+            f"{args.agent} has no physics and cannot be assisted", "--assist", "leave it out"
+        )
     began = time.perf_counter()
     with workers(args.threads) as mapper:
         poses = list(mapper(reconstructed, jobs))
@@ -163,7 +165,7 @@ def _scenario(args: EvaluateArgs) -> Scenario:
 
     suited = suiting(args.agent, devices_named(args.sensors))
     if not suited:
-        raise InputError(f"{args.agent} is not used with {args.sensors}", "--sensors")
+        raise InputError(f"{args.agent} does not support {args.sensors}", "--sensors")
     return suited[0]
 
 

@@ -132,7 +132,7 @@ def _checked(args: AblationsArgs) -> tuple[Path, list[Variant]]:
             f"use {', '.join(with_variants)}",
         )
     if args.out is None:
-        raise InputError("names no folder", "--out", "add --out DIR")
+        raise InputError("is missing", "--out", "add --out DIR")
     if args.minutes is None and args.steps is None:
         raise InputError("ablations need a budget", "--minutes", "e.g. --minutes 3, or --steps")
     if args.minutes is not None and not args.minutes > 0:

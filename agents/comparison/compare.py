@@ -58,7 +58,7 @@ def compare(args: CompareArgs) -> int:
     at_least(1, threads=args.threads, max_clips=args.max_clips)
     at_least(0, seed=args.seed)
     if args.video_clips and not args.video:
-        raise InputError("there is no video to show them", "--video-clips", "add --video")
+        raise InputError("needs a video", "--video-clips", "add --video")
     planned, out = plan(args.agents, args.sensors), args.out
     check_writable(out)
     everything = load_recordings(args.motions, seed=args.seed)
@@ -106,10 +106,10 @@ def plan(agents: Sequence[str], sensors: str | None) -> dict[str, list[Scenario]
     if agents:
         for agent, scenarios in planned.items():
             if not scenarios:
-                raise InputError(f"{agent} is not run with {sensors}", "--sensors", "leave it out")
+                raise InputError(f"{agent} does not support {sensors}", "--sensors", "leave it out")
     planned = {agent: scenarios for agent, scenarios in planned.items() if scenarios}
     if not planned:
-        raise InputError(f"no agent is run with {sensors} alone", "--sensors", "leave it out")
+        raise InputError(f"no agent supports {sensors} alone", "--sensors", "leave it out")
     return planned
 
 

@@ -55,7 +55,7 @@ def estimate(args: EstimateArgs) -> None:
     devices = devices_named(args.sensors)
     suited = [s for s in scenarios(load_system(args.agent)) if s.has(devices)]
     if not suited:
-        raise InputError(f"{args.agent} is not used with {args.sensors}", "--sensors")
+        raise InputError(f"{args.agent} does not support {args.sensors}", "--sensors")
     check_library_path(args.out)
     motions = at_sensor_rate(load_recordings(args.motions, seed=args.seed), args.max_clips)
     jobs = [(args.agent, suited[0], motion, 0) for motion in motions]

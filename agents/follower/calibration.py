@@ -89,7 +89,7 @@ class Calibration:
             raise InputError(
                 f"stature {self.height_m:.2f} m is not within {MIN_HEIGHT_M}-{MAX_HEIGHT_M} m",
                 "calibration",
-                "stand upright on the floor that the headset knows, or give --height",
+                "stand upright, check the headset's floor, or give --height",
             )
 
     def apply(self, frame: DeviceFrame) -> DeviceFrame:
@@ -116,7 +116,7 @@ class Calibration:
         try:
             return Calibration.of(json.loads(path.read_text()))
         except (UnicodeDecodeError, json.JSONDecodeError):
-            raise InputError("is no calibration", path, "calibrate again") from None
+            raise InputError("is not a calibration", path, "calibrate again") from None
 
     @staticmethod
     def of(values: Mapping[str, Any]) -> Calibration:
@@ -239,7 +239,7 @@ def _heading(looked: float, hands: Mapping[str, DevicePose]) -> float:
     apart = float(np.arctan2(np.sin(facing - looked), np.cos(facing - looked)))
     if abs(apart) > np.radians(25.0):
         raise InputError(
-            f"the headset looks {abs(np.degrees(apart)):.0f} degrees aside of the arms",
+            f"the headset looks {abs(np.degrees(apart)):.0f} degrees away from the arms",
             "calibration",
             "look straight ahead, arms alike on both sides, each controller in its own hand",
         )

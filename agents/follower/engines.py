@@ -10,13 +10,14 @@ Each processes one moment of the devices at a time, in constant time and memory.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from agents.agent import Agent
-from agents.kinematic.interface import KinematicSystem, UserBody
-from agents.kinematic.physics_behind import BEGINNING_FRAMES, on_own_body
+from agents.follower.states import State, between_poses, between_qpos, resting_state
+from agents.follower.system_poses import SystemPoses, live_set
+from agents.kinematic.interface import KinematicSystem
+from agents.kinematic.physics_behind import BEGINNING_FRAMES
 from agents.policy.policy_agent import PolicyAgent
 from agents.policy.spec import Layout
 from agents.resolve import PHYSICS
@@ -27,41 +28,17 @@ from envs.stream import AHEAD, StreamSim
 from envs.terrain import Terrain, height_field
 from questsim.body import DEFAULT_HEIGHT_M, build_body
 from questsim.errors import InputError
-from questsim.joint_sensors import SENSOR_FPS, SensorFrame
+from questsim.joint_sensors import SENSOR_FPS
 from questsim.motion.clip import FPS
 from questsim.motion.inverse_dynamics import InverseDynamics
-from questsim.motion.kinematics import clip_from_qpos, standing_clip
+from questsim.motion.kinematics import clip_from_qpos
 from questsim.motion.motion import Motion
-from questsim.motion.retarget_back import to_motion
-from questsim.motion.retarget_stream import StreamRetargeter
-from questsim.sensors import DEVICES, sensor_set
+from questsim.sensors import sensor_set
 from questsim.skeleton import NUM_DOFS
 
 QPOS = 7 + NUM_DOFS
-_PREFERRED = ("H+2C", "4T", "6T", "H")
-"""Default sensor sets of systems."""
 _TAKEN = 5
 """Number of poses from which velocity and acceleration of the middle one are computed."""
-
-
-@dataclass(frozen=True)
-class State:
-    """The avatar's state at one moment.
-
-    Attributes:
-        time_s: on the clock of the devices.
-        qpos: ``(40,)``.
-        contact_force: ``(2, 3)`` N.
-        assist_force, assist_torque: ``(3,)`` N, N m.
-        headset_error_m: distance of the avatar's headset from the user's, just before.
-    """
-
-    time_s: float
-    qpos: np.ndarray
-    contact_force: np.ndarray
-    assist_force: np.ndarray
-    assist_torque: np.ndarray
-    headset_error_m: float
 
 
 class Engine(ABC):
@@ -90,7 +67,9 @@ class Engine(ABC):
             InputError: the engine has no physics, or the force is out of range.
         """
         if bound_n and not self.physics:
-            raise InputError("poses without physics need no assist", "assist", "leave it out")
+            raise InputError(
+                "an agent without physics cannot be assisted", "assist", "leave it out"
+            )
         checked_bound(bound_n)
         self.assist_n = bound_n
         if self._assist is not None:
@@ -287,42 +266,6 @@ class PoseEngine(Engine):
         return resting_state(time_s, qpos)
 
 
-class SystemPoses:
-    """Runs a kinematic system on a device stream, with the user's bones.
-
-    Args:
-        system: the system.
-        names: its devices.
-        height_m: the user's stature; the bones are the avatar's proportions of it.
-    """
-
-    def __init__(self, system: KinematicSystem, names: tuple[str, ...], height_m: float) -> None:
-        self._system, self._names = system, names
-        self._user = to_motion(standing_clip(height_m, 2))
-        self._retarget = StreamRetargeter(self._user, height_m)
-        self.reset()
-
-    def reset(self) -> None:
-        """Reset the system for a new stream."""
-        self._system.reset(UserBody.of(self._user), self._names)
-        self._retarget.reset()
-        self._count = 0
-
-    def feed(self, position: np.ndarray, quat: np.ndarray, present: np.ndarray) -> Motion:
-        """The pose (one frame) after the next moment of the devices."""
-        if self._system.interpolates_dropouts or not self._count:
-            present = np.ones(len(self._names), bool)
-        frame = SensorFrame(
-            self._count / SENSOR_FPS, self._names, position, quat, np.zeros_like(position), present
-        )
-        self._count += 1
-        return on_own_body(self._system.step(frame), self._user)
-
-    def retargeted(self, pose: Motion) -> np.ndarray:
-        """The avatar's ``qpos`` ``(40,)``."""
-        return self._retarget(pose)[0]
-
-
 class PhysicsEngine(Engine):
     """A tracker follows the poses of a kinematic system on simulated physics.
 
@@ -426,69 +369,3 @@ class PhysicsEngine(Engine):
         acceleration = 0.5 * FPS * (common.qvel[3] - common.qvel[1])
         forces = self._dynamics.at(common.qpos[2], common.qvel[2], acceleration)
         self._sim.show_pose(clip, _TAKEN - 2, forces[6:] / self._limits)
-
-
-def live_set(system: KinematicSystem, sensors: str | None) -> tuple[str, ...]:
-    """The devices used with a system on a live stream.
-
-    Raises:
-        InputError: it cannot use them, or they are IMUs, which no headset has.
-    """
-    if sensors is None:
-        usable = [name for name in _PREFERRED if _fits(system, name)]
-        if not usable:
-            raise InputError(f"no live set of devices suits {system.name}", "Follower")
-        sensors = usable[0]
-    names = system.usable(sensors)
-    imus = [name for name in names if DEVICES[name].kind == "imu"]
-    if imus:
-        raise InputError(f"{imus[0]} is no part of a live stream", "sensors", "use a set without")
-    return names
-
-
-def _fits(system: KinematicSystem, sensors: str) -> bool:
-    try:
-        live_set(system, sensors)
-    except InputError:
-        return False
-    return True
-
-
-def between_poses(a: Motion, b: Motion, share: float) -> Motion:
-    """Interpolate two poses (one frame each) of the same person."""
-    sign = np.where((a.rotations * b.rotations).sum(-1, keepdims=True) < 0.0, -1.0, 1.0)
-    turn = (1.0 - share) * a.rotations + share * sign * b.rotations
-    turn /= np.linalg.norm(turn, axis=-1, keepdims=True)
-    root = (1.0 - share) * a.root_position + share * b.root_position
-    return replace(b, root_position=root, rotations=turn)
-
-
-def resting_state(time_s: float, qpos: np.ndarray) -> State:
-    """A pose ``(40,)`` without forces."""
-    return State(time_s, qpos, np.zeros((2, 3)), np.zeros(3), np.zeros(3), 0.0)
-
-
-def between_states(a: State, b: State, time_s: float) -> State:
-    """Interpolate two states at a time between them."""
-    share = (time_s - a.time_s) / (b.time_s - a.time_s)
-
-    def mix(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return (1.0 - share) * x + share * y
-
-    return State(
-        time_s=time_s,
-        qpos=between_qpos(a.qpos, b.qpos, share),
-        contact_force=mix(a.contact_force, b.contact_force),
-        assist_force=mix(a.assist_force, b.assist_force),
-        assist_torque=mix(a.assist_torque, b.assist_torque),
-        headset_error_m=b.headset_error_m,
-    )
-
-
-def between_qpos(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
-    """Interpolate two poses ``(40,)``: positions and angles linearly, the root's rotation too."""
-    out = (1.0 - share) * a + share * b
-    sign = -1.0 if a[3:7] @ b[3:7] < 0.0 else 1.0
-    out[3:7] = (1.0 - share) * a[3:7] + share * sign * b[3:7]
-    out[3:7] /= np.linalg.norm(out[3:7])
-    return out

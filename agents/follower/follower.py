@@ -12,16 +12,9 @@ import numpy as np
 from agents.agent import Agent
 from agents.follower.bridge import Bridge, Moment
 from agents.follower.calibration import Calibration, calibrate
-from agents.follower.engines import (
-    Engine,
-    PhysicsEngine,
-    PoseEngine,
-    State,
-    TorqueEngine,
-    between_states,
-    resting_state,
-)
+from agents.follower.engines import Engine, PhysicsEngine, PoseEngine, TorqueEngine
 from agents.follower.stance import estimated_pose
+from agents.follower.states import State, between_states, resting_state
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.store import load_system
 from agents.loading import load_agent
@@ -238,5 +231,5 @@ def engine_of(
     if found.kind == "system":
         return PoseEngine(system, sensors, terrain)
     if terrain is not None:
-        raise InputError(f"{agent} follows on level ground only", "terrain", "leave it out")
+        raise InputError(f"{agent} only supports level ground", "terrain", "leave it out")
     return PhysicsEngine(system, load_agent(ESTIMATE_TRACKER), sensors, assist_n)

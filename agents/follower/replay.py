@@ -162,7 +162,7 @@ def calibrated(
         return frames
     if seconds <= 0.0:
         if height_m is None:
-            raise InputError("nothing says how tall the user is", "--calibrate 0", "give --height")
+            raise InputError("the user's height is unknown", "--calibrate 0", "give --height")
         follower.use(Calibration(height_m))
         return frames
     end = frames[0].time_s + seconds

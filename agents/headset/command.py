@@ -81,7 +81,9 @@ def record(args: RecordArgs) -> None:
         InputError: see ``live``.
     """
     if args.record is not None:
-        raise InputError("the file is named without it", "--record")
+        raise InputError(
+            "does not go with questsim record", "--record", "give the file without an option"
+        )
     live(args, args.out)
 
 
@@ -116,7 +118,9 @@ def _check(args: LiveArgs) -> None:
     if args.pose not in POSES:
         raise InputError(f"is {args.pose!r}, not one of {', '.join(POSES)}", "--pose")
     if args.calibration is not None and args.height is not None:
-        raise InputError("the calibration has a stature", "--height", "leave one of them out")
+        raise InputError(
+            "the calibration already contains the height", "--height", "leave one of them out"
+        )
     if args.replay is not None and args.vmc_in is not None:
         raise InputError("does not go with --replay", "--vmc-in", "give one of them")
     check_address(args.host, args.port)

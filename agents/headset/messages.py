@@ -54,9 +54,9 @@ def read_message(text: str) -> dict[str, Any]:
     try:
         message = json.loads(text)
     except (ValueError, RecursionError):
-        raise InputError("is no JSON", "message") from None
+        raise InputError("is not JSON", "message") from None
     if not isinstance(message, dict) or not isinstance(message.get("type"), str):
-        raise InputError("is no object with a type", "message")
+        raise InputError("is not an object with a type", "message")
     return message
 
 
@@ -68,13 +68,13 @@ def frame_of(message: dict[str, Any]) -> DeviceFrame:
     """
     time_s = message.get("t")
     if isinstance(time_s, bool) or not isinstance(time_s, int | float):
-        raise InputError("t is no number", "frame")
+        raise InputError("t is not a number", "frame")
     if not 0.0 <= time_s <= MAX_TIME_S:
         raise InputError(f"t is not within 0 to {MAX_TIME_S:g} s", "frame")
     poses = {name: value for name, value in message.items() if name not in ("type", "t")}
     for name, value in poses.items():
         if name not in DEVICES:
-            raise InputError(f"has {name[:40]!r}, which is no device of a page", "frame")
+            raise InputError(f"has {name[:40]!r}, which is not a device of a page", "frame")
         numbers = isinstance(value, list) and all(type(x) in (int, float) for x in value)
         if not numbers or len(value) != 7:
             raise InputError(f"{name} is not 7 numbers", "frame")

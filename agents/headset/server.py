@@ -147,7 +147,7 @@ class LiveServer:
             if not 1.2 <= height <= 2.2:
                 raise ValueError
         except ValueError:
-            raise web.HTTPBadRequest(text="height is no stature") from None
+            raise web.HTTPBadRequest(text="height is not a stature") from None
         body = await asyncio.to_thread(_glb, round(height, 2))
         return web.Response(body=body, content_type="model/gltf-binary")
 
@@ -209,7 +209,7 @@ class LiveServer:
         elif kind == "assist" and isinstance(message.get("on"), bool):
             self.session.assist(message["on"])
         else:
-            raise InputError(f"{kind[:40]!r} is nothing that a page may ask", "message")
+            raise InputError(f"{kind[:40]!r} is not a request that a page may send", "message")
 
 
 class _Outbox:

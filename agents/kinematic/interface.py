@@ -158,7 +158,7 @@ class KinematicSystem(ABC):
         """Describe the sensors in words, for messages and the list of agents."""
         optional = [name for name in self.devices if name not in self.required]
         text = ", ".join(self.required)
-        return text + (f" and, if there, {', '.join(optional)}" if optional else "")
+        return text + (f" and, if present, {', '.join(optional)}" if optional else "")
 
     def reset(self, body: UserBody, sensors: str | Sequence[str]) -> None:
         """Start a stream.
@@ -229,7 +229,7 @@ class KinematicSystem(ABC):
             InputError: see the module's docstring.
         """
         if self._names is None:
-            raise InputError("reset comes before step", self.name)
+            raise InputError("step was called before reset", self.name)
         check_frame(frame, self._names, self.name)
         last = self._last
         if last is not None and not frame.time_s > last.time_s:
@@ -241,7 +241,7 @@ class KinematicSystem(ABC):
         present = np.asarray(frame.present, bool)
         if last is None and self.interpolates_dropouts and not present.all():
             silent = self._names[int(np.argmin(present))]
-            raise InputError(f"{silent} does not report in the first frame", self.name)
+            raise InputError(f"{silent} has no signal in the first frame", self.name)
         filler = last if last is not None else _still(len(self._names))
         keep = present[:, None]
         quat = np.where(keep, frame.quat, filler.quat)

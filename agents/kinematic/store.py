@@ -123,7 +123,9 @@ def _spec(entry: Entry, card: dict[str, Any], folder: Path) -> Any:
     found = card.get("spec")
     known = {field.name for field in fields(kind)}
     if not isinstance(found, dict) or not known - switches(kind) <= set(found) <= known:
-        raise InputError("the sizes are incomplete", folder / CARD_FILE, "train it again")
+        raise InputError(
+            "the description of the networks is incomplete", folder / CARD_FILE, "train it again"
+        )
     return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in found.items()})
 
 

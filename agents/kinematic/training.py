@@ -108,12 +108,12 @@ def begin_with(module: nn.Module, start: Path, agent: str) -> None:
     """
     found, card = load_module(find_system(start))
     if card["agent"] != agent:
-        raise InputError(f"{start} is of {card['agent']}, not of {agent}", "--start")
+        raise InputError(f"{start} is of the family {card['agent']}, not {agent}", "--start")
     try:
         module.load_state_dict(found.state_dict())
     except RuntimeError:
         raise InputError(
-            f"{start} is of other sizes", "--start", "use its --preset and --set"
+            f"{start} has networks of other sizes", "--start", "use its --preset and --set"
         ) from None
 
 

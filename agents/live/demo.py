@@ -230,7 +230,7 @@ def _write_video(args: DemoArgs, path: Path) -> None:
     from questsim.viewing.live_film import film
 
     if path.suffix.lower() not in (".mp4", ".gif"):
-        raise InputError(f"{path.name} is no .mp4 and no .gif", "--video")
+        raise InputError(f"{path.name} is neither .mp4 nor .gif", "--video")
     at_least(1, seconds=args.seconds)
     at_least(0, push=args.push)
     path.parent.mkdir(parents=True, exist_ok=True)

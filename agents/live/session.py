@@ -206,7 +206,7 @@ class DemoSession:
         with self._lock:
             if not self._present.physics:
                 agent = self._settings.agent
-                raise InputError(f"{agent} shows poses without physics: nothing pushes it")
+                raise InputError(f"{agent} has no physics and cannot be pushed")
             yaw = float(rot.heading(self._sim.link_quats[:1, 0])[0]) + np.radians(direction_deg)
             force = force_n * np.array([np.cos(yaw), np.sin(yaw), 0.0])
             self._sim.pusher.push(0, force, PUSH_S)
@@ -368,5 +368,5 @@ def _number(value: Any, what: str) -> float:
     except (TypeError, ValueError):
         number = np.nan
     if not np.isfinite(number):
-        raise InputError(f"{what} {value!r} is no number")
+        raise InputError(f"{what} {value!r} is not a number")
     return number

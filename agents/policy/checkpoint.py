@@ -175,7 +175,7 @@ def load_critic(folder: Path, policy: TorquePolicy) -> None:
     """
     path = folder / CRITIC_FILE
     if not path.exists():
-        raise InputError("has no critic to go on with", folder, "name a teacher's folder")
+        raise InputError("has no critic to continue training", folder, "name a teacher's folder")
     try:
         critic = load_file(path)
         missing, unexpected = policy.load_state_dict(critic, strict=False)

@@ -116,13 +116,13 @@ def check_exportable(agent: Agent, where: str | None = None) -> None:
     """
     where = where or agent.name
     if not isinstance(agent, PolicyAgent):
-        raise InputError("is no trained policy, there is nothing to export", where)
+        raise InputError("is not a trained policy", where)
     spec = agent.policy.spec
     others = [name for name in spec.actor_blocks if name not in SPARSE_BLOCKS]
     if others or spec.reference_head:
         read = ", ".join(others) or "the reference pose"
         raise InputError(
-            f"reads {read}, which no device can tell", where, "export one of its students"
+            f"reads {read}, which no device measures", where, "export one of its students"
         )
 
 

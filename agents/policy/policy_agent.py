@@ -43,7 +43,7 @@ class PolicyAgent:
         preset = getattr(config, "body_preset", self.needs.body_preset)
         if preset != self.needs.body_preset:
             raise InputError(
-                f"trained with body {self.needs.body_preset!r}, the environment has {preset!r}",
+                f"was trained with body {self.needs.body_preset!r}, the environment has {preset!r}",
                 self.name,
             )
         self.policy.use_layout(layout)

@@ -131,7 +131,7 @@ class Layout:
                 inside = start <= inner_start and inner_stop <= stop
                 shift = self.blocks[inner][0] - self.blocks[outer][0]
                 if inside and shift != inner_start - start:
-                    raise InputError(f"block {inner!r} lies elsewhere within {outer!r}", where)
+                    raise InputError(f"block {inner!r} has another place in {outer!r}", where)
 
 
 def initial_gains(torque_limits: np.ndarray, damping: np.ndarray) -> np.ndarray:

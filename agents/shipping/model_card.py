@@ -19,35 +19,35 @@ NOT_FIGURES = ("real_time_factor",)
 """Report entries omitted from a card: they describe the computer, not the policy."""
 
 LICENCE_TEXTS = {
-    OURS: "The weights are under the MIT licence, as the code is.",
+    OURS: "The weights are under the MIT licence, like the code.",
     NON_COMMERCIAL: (
-        "The weights are under [CC BY-NC 4.0](https://creativecommons.org/licenses/by-nc/4.0/), as "
-        "the motions are that they were trained on: **no commercial use**, and credit is due. Only "
-        "the code is under the MIT licence."
+        "The weights are under [CC BY-NC 4.0](https://creativecommons.org/licenses/by-nc/4.0/), "
+        "like the motions that they were trained on: **no commercial use**, and credit is "
+        "required. Only the code is under the MIT licence."
     ),
 }
 
 DRIVER_USE = """\
-To drive the avatar of this project in research, teaching and experiments: full-body motion from a
-headset, with or without controllers, and methods compared on the same clips. It is not made for
-medical or safety-relevant use, nor to tell who or how healthy somebody is."""
+Research, teaching and experiments with the avatar of this project: full-body motion from a headset,
+with or without controllers, and comparisons of methods on the same clips. Do not use it for medical
+or safety-relevant purposes, or to infer a person's identity or health."""
 
 TRACKER_USE = """\
-To make the avatar follow a whole-body reference, such as a kinematic estimate or a motion capture
-clip, and as a teacher of policies that see only devices. It is not made for medical or
-safety-relevant use."""
+The avatar follows a whole-body reference, such as a kinematic estimate or a motion capture clip. It
+also serves as the teacher of policies that observe only devices. Do not use it for medical or
+safety-relevant purposes."""
 
 LIMITS = """\
-- It knows the motions above and their like. Others can make the avatar fall; once it has fallen
-  or lags far behind, it does not catch up.
+- It was trained on the motions above. Different motions can make the avatar fall. An avatar that
+  has fallen or lags far behind does not recover.
 - It was trained {ground}, without other people.
-- It fits this body, order of joints, observation and 36 Hz only; anything else is refused.
-- A body is described by its height alone: other proportions, strength or age are not modelled."""
+- It works only with this body, order of joints, observation and 36 Hz; anything else is refused.
+- Bodies differ only in height; proportions, strength and age are not modelled."""
 
 SPARSE_LIMITS = """\
-- The devices' signals in training were synthetic: rigid offsets from the clips' head and hands,
-  without noise, delay or loss of tracking.
-- Legs that move independently of head and hands are guessed."""
+- The device signals in training were synthetic: rigid offsets from the clips' head and hands,
+  without noise, latency or loss of tracking.
+- It can only guess leg movements that are independent of head and hands."""
 
 
 def model_card(
@@ -71,7 +71,7 @@ def model_card(
     if not tracker and agent.needs.future_frames:
         delay = round(1000.0 * agent.needs.future_frames / agent.card["fps"], -1)
         limits += (
-            f"\n- It waits for {agent.needs.future_frames} frames of the future: {delay:g} ms."
+            f"\n- It needs {agent.needs.future_frames} future frames, a delay of {delay:g} ms."
         )
     return card_text(
         name,
@@ -151,10 +151,10 @@ def read_metrics(path: Path, training: Mapping[str, Any]) -> dict[str, Any]:
     differing = [key for key, value in plain.items() if measured.get(key) != value]
     if differing:
         raise InputError(
-            f"measured another policy: its {differing[0]} is {measured.get(differing[0])!r}, not "
-            f"{plain[differing[0]]!r}",
+            f"is a report of another policy: its {differing[0]} is "
+            f"{measured.get(differing[0])!r}, not {plain[differing[0]]!r}",
             path,
-            "evaluate this one",
+            "evaluate this policy",
         )
     return metrics
 
@@ -176,9 +176,9 @@ def read_report(path: Path, schema: str, version: int, of: str, usual_name: str)
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", path) from error
     except ValueError as error:
-        raise InputError(f"is no report of {of}", path) from error
+        raise InputError(f"is not a report of {of}", path) from error
     if not isinstance(report, dict) or report.get("schema") != schema:
-        raise InputError(f"is no report of {of}", path, f"name a {usual_name}")
+        raise InputError(f"is not a report of {of}", path, f"name a {usual_name}")
     if report.get("version") != version:
         raise InputError(f"is of version {report.get('version')!r}, this one reads {version}", path)
     return report
@@ -196,19 +196,19 @@ def _purpose(agent: PolicyAgent) -> str:
     if agent.needs.privileged:
         return (
             "Makes the avatar follow any full-body reference by torques on its 33 joints, 36 times "
-            "a second: it sees the avatar's state and coming frames of the reference."
+            "a second. It observes the avatar's state and future frames of the reference."
         ) + (
-            " It has learnt on references that kinematic systems estimate, to do what the user "
-            "does all the same."
+            " It was trained on references that kinematic systems estimated, to follow the user's "
+            "true motion."
             if agent.card["training"].get("shown_estimates")
             else ""
         )
     devices = ", ".join(name.replace("_", " ") for name in sensor_set(agent.needs.sensors))
     frames = agent.needs.future_frames
-    when = f"{frames} coming frames" if frames else "the present frame"
+    when = f"{frames} future frames" if frames else "the current frame"
     return (
-        f"Drives the avatar by torques on its 33 joints, 36 times a second: it sees the avatar's "
-        f"state and {when} of {devices}."
+        f"Drives the avatar by torques on its 33 joints, 36 times a second. It observes the "
+        f"avatar's state and {when} of {devices}."
     )
 
 
@@ -256,7 +256,8 @@ def _figures(metrics: Mapping[str, Any]) -> list[str]:
     lines = [
         f"### {motions}, {metrics['all']['clips']} clips, {statures}",
         "",
-        "Each clip once, from its first frame, without noise; *all* has every clip until its fall.",
+        "Each clip runs once, from its first frame, without noise. *All* includes every clip until "
+        "its fall.",
         "",
         "| | all | completed |",
         "|---|---|---|",

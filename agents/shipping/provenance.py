@@ -222,14 +222,14 @@ def run_of(folder: Path) -> Path:
     for parent in folder.absolute().parents:
         if (parent / RECORD).exists():
             return parent
-    raise InputError("is not inside a run, so nothing tells how it was trained", folder)
+    raise InputError("is not inside a run folder, so its training is unknown", folder)
 
 
 def _training(folder: Path) -> dict[str, Any]:
     training = read_card(folder).get("training") or {}
     missing = [key for key in RECORDED if key not in training]
     if missing:
-        raise InputError(f"does not tell the {missing[0]} of its training", folder / CARD_FILE)
+        raise InputError(f"does not state the {missing[0]} of its training", folder / CARD_FILE)
     return training
 
 

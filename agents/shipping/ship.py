@@ -99,7 +99,7 @@ def _checked_size(weights: Path) -> int:
 
 def _checked_licence(training: dict[str, Any], source: Path) -> str:
     if training["licence"] == UNKNOWN:
-        raise InputError("some motions it learnt from have no stated licence", source)
+        raise InputError("some of its training motions have no stated licence", source)
     return training["licence"]
 
 
@@ -111,7 +111,7 @@ def check_name(name: str) -> None:
     """
     if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name) or name in RESERVED:
         raise InputError(
-            f"{name!r} is no name for a policy", "--name", "use letters a-z, digits and hyphens"
+            f"{name!r} is not a valid name", "--name", "use letters a-z, digits and hyphens"
         )
 
 

@@ -29,16 +29,16 @@ SHOWN: tuple[str, ...] = (
 """Figures of a comparison that a card includes."""
 
 USE = """\
-To estimate a user's whole pose, one frame after the other, from the devices named above: for
-research, teaching and experiments. It is not made for medical or safety-relevant use, nor to tell
-who or how healthy somebody is."""
+Research, teaching and experiments: estimates of a user's full-body pose, frame by frame, from the
+devices named above. Do not use it for medical or safety-relevant purposes, or to infer a person's
+identity or health."""
 
 LIMITS = """\
-- It knows the motions above and their like; what no device sees is guessed.
-- Nothing physical is in it: feet may slide, float or sink.
-- The devices' signals in training were synthetic, without noise, delay or loss of tracking.
-- It answers at 60 Hz on this order of joints only; anything else is refused.
-- Bodies differ by the lengths of their bones alone: sex, age and weight are not modelled."""
+- It was trained on the motions above. It guesses what no device measures.
+- It has no physics: feet may slide, float or sink.
+- The device signals in training were synthetic, without noise, latency or loss of tracking.
+- It works only at 60 Hz and with this order of joints; anything else is refused.
+- Bodies differ only in the lengths of their bones; sex, age and weight are not modelled."""
 
 
 def system_provenance(folder: Path) -> dict[str, Any]:
@@ -145,7 +145,7 @@ def _facts(system: KinematicSystem, training: Mapping[str, Any], weights_bytes: 
     rows = {
         "licence": training["licence"],
         "trained on": f"`{training['motions']}`: {training['clips']} clips, "
-        f"{time_text(training['seconds'] / 60)}, mirrored, on people of varied proportions",
+        f"{time_text(training['seconds'] / 60)}, mirrored, with varied body proportions",
         "training": f"preset `{training['preset']}`; {stages}; {whole} in all",
         "seed": str(training["seed"]),
         "network": f"{count:,} parameters, {weights_bytes / 1e6:.1f} MB in safetensors",
@@ -173,13 +173,13 @@ def comparison_lines(path: Path, training: Mapping[str, Any]) -> list[str]:
     ]
     rows = [row for row in report["rows"] if row["agent"] in agents]
     if not rows:
-        raise InputError("does not have this system", path, "compare it")
+        raise InputError("has no results of this system", path, "run a comparison with it")
     data = report["context"]["data"]
     names = [name for name in SHOWN if name in rows[0]["pooled"]]
     lines = [
         f"### {data['motions']}, {data['clips']} clips",
         "",
-        "Streamed frame by frame; all frames alike.",
+        "Streamed frame by frame; every frame has the same weight.",
         "",
         f"| scenario | {' | '.join(LABELS[name] for name in names)} |",
         "|" + "---|" * (len(names) + 1),
@@ -188,6 +188,6 @@ def comparison_lines(path: Path, training: Mapping[str, Any]) -> list[str]:
         found = [row["pooled"][name] for name in names]
         cells = ["-" if value is None else f"{value:.2f}" for value in found]
         behind = base_of(row["agent"]) is not None and "no physics" not in row["scenario"]
-        told = row["scenario"] + (", physics behind it" if behind else "")
+        told = row["scenario"] + (", with physics" if behind else "")
         lines.append(f"| {told} | {' | '.join(cells)} |")
     return [*lines, ""]

@@ -101,7 +101,9 @@ def _student(
     where = args.teacher or args.out / "teacher"
     teacher = load_policy(find_teacher(where))
     if not teacher.needs.privileged:
-        raise InputError("is no teacher: it does not read the reference", where, "use --teacher")
+        raise InputError(
+            "is not a teacher: it does not observe the reference", where, "use --teacher"
+        )
     teacher.bind(env)
     sparse = Layout.of(env.layout).within(config.policy.actor_blocks)
     student = new_policy(config.policy, sparse, learning.learning_rate)

@@ -27,7 +27,7 @@ from agents.run_folder import (
     refuse_existing,
     start_run,
 )
-from agents.training.cluster import ActorPool, BatchSpec, ray_cluster
+from agents.training.cluster import ActorPool, ray_cluster
 from agents.training.fresh_motions import REDRAW_STEPS, FreshMotions, check_share, redrawing
 from agents.training.learner import Learner
 from agents.training.make_learner import make_learner
@@ -35,6 +35,7 @@ from agents.training.monitor import Display
 from agents.training.options import TrainArgs
 from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PRESETS, PPOConfig, Preset, StageConfig, shown_estimates
+from agents.training.rollout_worker import BatchSpec
 from agents.training.stage import Budget, Stage, Stopper
 from envs.config import EnvConfig
 from envs.objects import objects_named
@@ -140,11 +141,13 @@ def _cluster(args: TrainArgs) -> AbstractContextManager[None]:
     """The Ray cluster of ``--workers``, if any."""
     at_least(0, workers=args.workers)
     if args.workers and args.vary:
-        raise InputError("is not for workers", "--vary", "write a library by questsim motions vary")
+        raise InputError(
+            "does not go with --workers", "--vary", "write a library by questsim motions vary"
+        )
     if args.workers:
         return ray_cluster(args.ray, args.workers * args.threads)
     if args.ray is not None:
-        raise InputError("is for workers", "--ray", "add --workers N")
+        raise InputError("needs --workers", "--ray", "add --workers N")
     return nullcontext()
 
 
@@ -177,18 +180,18 @@ def _estimates(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
         return None
     if args.stage not in ("student", "finetune"):
         fix = "add --stage student or finetune"
-        raise InputError(f"are not for stage {args.stage}", "--estimates", fix)
+        raise InputError(f"does not go with --stage {args.stage}", "--estimates", fix)
     if args.vary:
-        raise InputError("are not varied", "--estimates", "leave out --vary")
+        raise InputError("does not go with --vary", "--estimates", "leave out --vary")
     if args.mirrored:
-        raise InputError("are not mirrored", "--estimates", "leave out --mirrored")
+        raise InputError("does not go with --mirrored", "--estimates", "leave out --mirrored")
     known = {clip.name: clip for clip in clips}
     pairs: Pairs = {}
     for estimate in load_motions(args.estimates, seed=args.seed):
         user, at, _ = estimate.name.rpartition("@")
         if not at or user not in known:
             raise InputError(
-                f"{estimate.name!r} is an estimate of none of --motions",
+                f"{estimate.name!r} belongs to no clip of --motions",
                 args.estimates,
                 "name a library that questsim estimate made of them",
             )
@@ -329,7 +332,7 @@ def split_validation(
         raise InputError(f"no clip has style {sorted(unknown)[0]!r}", "--hold-out")
     learnt = [clip for clip in clips if clip.style not in styles]
     if not learnt:
-        raise InputError("nothing is left to learn", "--hold-out")
+        raise InputError("no clips are left to train on", "--hold-out")
     held = [clip for clip in clips if clip.style in styles]
     return learnt, choose_clips(held or learnt, count)
 

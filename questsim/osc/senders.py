@@ -55,15 +55,17 @@ class Target(NamedTuple):
         host, colon, number = text.rpartition(":") if ":" in text else (text, "", "")
         if colon:
             if not number.isdigit() or not 1 <= int(number) <= 65535:
-                raise InputError(f"{number!r} is no port", option, f"as in {LOOPBACK}:{port}")
+                raise InputError(f"{number!r} is not a port", option, f"as in {LOOPBACK}:{port}")
             port = int(number)
         host = host or LOOPBACK
         try:
             address = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4][0]
         except (OSError, UnicodeError):
-            raise InputError(f"{host!r} is no host that is known here", option) from None
+            raise InputError(f"{host!r} is not a known host", option) from None
         if ipaddress.ip_address(address).is_multicast or address == "255.255.255.255":
-            raise InputError(f"{host} is not one machine", option, "name one address")
+            raise InputError(
+                f"{host} is not the address of one machine", option, "name one address"
+            )
         return Target(str(address), port)
 
 

@@ -269,7 +269,7 @@ def named(choices: Sequence[T], names: Sequence[str], option: str) -> list[T]:
         if name not in by_name:
             known = sorted(by_name)
             hint = ", ".join(known[:3]) + (", ..." if len(known) > 3 else "")
-            raise InputError(f"there is no clip {name!r} among those to be filmed", option, hint)
+            raise InputError(f"there is no clip {name!r} among the evaluated ones", option, hint)
     return [by_name[name] for name in names]
 
 

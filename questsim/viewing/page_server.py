@@ -78,7 +78,7 @@ def check_address(host: str, port: int) -> None:
             probe.bind(address)
             probe.listen()
     except socket.gaierror as error:
-        raise InputError(f"{host!r} is no address of this machine", "--host") from error
+        raise InputError(f"{host!r} is not an address of this machine", "--host") from error
     except PermissionError as error:
         raise InputError(f"{port} is not allowed", "--port", "choose one above 1023") from error
     except OSError as error:

@@ -92,7 +92,7 @@ class RecurrentPoser(KinematicSystem):
         names = super().usable(sensors)
         if tuple(name in names for name in DEVICES[3:]) not in VISIBLE:
             raise InputError(
-                f"{self.name} reads no IMU, both knees, or knees and pelvis", "sensors"
+                f"{self.name} takes no IMUs, both knees, or both knees and the pelvis", "sensors"
             )
         return names
 
