@@ -91,7 +91,7 @@ def test_a_comparison_without_what_it_needs_is_refused(options, message, tmp_pat
 
 
 def test_an_evaluation_of_nobody_is_refused():
-    with pytest.raises(InputError, match="names no agent"):
+    with pytest.raises(InputError, match="the agent's name is empty"):
         evaluate(EvaluateArgs(agent=""))
 
 

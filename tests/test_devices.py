@@ -64,7 +64,7 @@ def test_poses_come_back_from_every_convention(convention, position, quat):
         ({"hat": [0, 0, 1, 1, 0, 0, 0]}, "unknown device 'hat'"),
         ({"headset": [0, 0, 1]}, "shape"),
         ({"headset": [0, 0, 1e9, 1, 0, 0, 0]}, "further than"),
-        ({"headset": np.diag([1.0, 1.0, -1.0, 1.0])}, "no rotation"),
+        ({"headset": np.diag([1.0, 1.0, -1.0, 1.0])}, "not a rotation"),
         ({"headset": "standing"}, "not made of numbers"),
     ],
 )

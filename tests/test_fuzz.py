@@ -72,7 +72,7 @@ def own(path: Path, *lines: str) -> Path:
     [
         ("[" * 50_000, "line 2: is not JSON: nested too deeply"),
         ('{"t": ' + "1" * 5000 + "}", "line 2: is not JSON: a number is too long"),
-        (" " * 200_000, "line 2: is too long a line"),
+        (" " * 200_000, "line 2: the line is too long"),
     ],
 )
 def test_recordings_that_no_parser_stands_are_refused(line, reason, tmp_path):

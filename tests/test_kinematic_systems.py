@@ -211,7 +211,7 @@ def test_features_of_a_frame_use_no_later_frame():
         ("hmdposer", "H+9C", "unknown sensor set"),
         ("dragposer", ("headset", "left_ear", "pelvis_tracker"), "unknown tracker 'left_ear'"),
         ("dragposer", "H", "three trackers"),
-        ("lgsik", (*DEVICES[:3], "pelvis_imu"), "no IMU, both knees"),
+        ("lgsik", (*DEVICES[:3], "pelvis_imu"), "no IMUs, both knees"),
     ],
 )
 def test_sensors_a_system_cannot_use_are_refused_by_name(agent, sensors, message):

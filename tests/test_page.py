@@ -178,7 +178,7 @@ def test_a_kinematic_system_is_chosen_and_a_push_is_answered_in_words(live, tab)
     assert eventually(lambda: tab.get_by_text("no physics").count() > 0, wait)
     step = session.snapshot().step
     tab.get_by_role("button", name="Push", exact=True).click()
-    assert eventually(lambda: tab.get_by_text("nothing pushes it").count() > 0, wait)
+    assert eventually(lambda: tab.get_by_text("cannot be pushed").count() > 0, wait)
     assert eventually(lambda: session.snapshot().step > step + 10, wait)
     session.change(agent="demo")
     assert eventually(lambda: tab.get_by_text("no physics").count() == 0, wait)

@@ -209,7 +209,7 @@ def test_another_observation_or_body_is_refused_by_name(env):
     other = FakeVecEnv(2)
     other.layout["joint_angles"] = slice(33, 66)
     other.layout["joint_velocities"] = slice(0, 33)
-    with pytest.raises(InputError, match="elsewhere within"):
+    with pytest.raises(InputError, match="another place in"):
         agent.bind(other)
 
 

@@ -79,7 +79,7 @@ def test_csv_of_unity_is_read_with_its_silent_devices(tmp_path):
     path = tmp_path / "unity.csv"
     path.write_text("\n".join(lines))
     assert same(read_recording(path, "unity").frames, FRAMES)
-    with pytest.raises(InputError, match="does not say its axes"):
+    with pytest.raises(InputError, match="does not state its axes"):
         read_recording(path)
 
 
@@ -139,7 +139,7 @@ def test_a_recording_that_ends_too_early_is_refused(tmp_path):
     path = tmp_path / "cut.jsonl.gz"
     write_recording(path, FRAMES)
     path.write_bytes(path.read_bytes()[:-200])
-    with pytest.raises(InputError, match="ends too early"):
+    with pytest.raises(InputError, match="is incomplete"):
         read_recording(path)
 
 

@@ -259,7 +259,7 @@ def test_policy_outside_a_run_is_refused(run, tmp_path):
 
 @pytest.mark.parametrize("name", ["zero", "random", "../x", "A", "", "-x", "a/b"])
 def test_name_that_is_none_is_refused(name):
-    with pytest.raises(InputError, match="no name for a policy"):
+    with pytest.raises(InputError, match="is not a valid name"):
         check_name(name)
 
 

@@ -345,7 +345,7 @@ def test_feet_feel_the_ground() -> None:
         ({"direction": "left"}, "unknown direction"),
         ({"tiles": ("rough", "course")}, "unknown tile 'course'"),
         ({"tiles": ()}, "without tiles"),
-        ({"levels": 2.5}, "no whole number"),
+        ({"levels": 2.5}, "not a whole number"),
         ({"seed": "x"}, "seed is 'x'"),
     ],
 )
@@ -361,7 +361,7 @@ def test_a_terrain_is_read_from_its_name_and_options() -> None:
     assert changed == replace(TERRAINS["stairs"], step_height_m=0.12, seed=3, direction="down")
     for text, message in (
         ("lava", "unknown terrain"),
-        ("rough:depth=1", "no option of a terrain"),
+        ("rough:depth=1", "not an option of a terrain"),
         ("rough:seed", "no option"),
         ("rough:seed=a", "'a' is not of type int"),
         ("rough:amplitude_m=9", "amplitude_m is 9"),
