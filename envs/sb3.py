@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -36,7 +36,7 @@ class QuestVecEnv(VecEnv, EzPickle):
     Args:
         motions: a motion argument or clips.
         config: options of the task; keyword options make one, e.g. ``sensors="H"``.
-        num_envs, num_threads, shown: as of ``BatchSim``.
+        num_envs, num_threads, shown, begin_at: as of ``BatchSim``.
         seed: random seed; with None each VecEnv draws different episodes until ``seed`` is called.
         render_mode: ``"rgb_array"`` or None.
         **options: fields of ``EnvConfig``, also in the plain forms of ``envs.options``.
@@ -54,15 +54,18 @@ class QuestVecEnv(VecEnv, EzPickle):
         num_threads: int = 1,
         shown: Sequence[Clip] | None = None,
         render_mode: str | None = None,
+        begin_at: Mapping[str, Clip] | None = None,
         **options: Any,
     ) -> None:
         EzPickle.__init__(
-            self, motions, config, num_envs, seed, num_threads, shown, render_mode, **options
-        )
+            self, motions, config, num_envs, seed, num_threads, shown, render_mode, begin_at,
+            **options,
+        )  # fmt: skip
         check_render_mode(render_mode, ["rgb_array"])
         self.render_mode, given = render_mode, seeds_of(seed, 1)[0]
         clips, task = clips_of(motions), config_of(config, options)
-        self.sim = BatchSim(clips, task, num_envs, given or 0, num_threads, shown)
+        self.sim = BatchSim(clips, task, num_envs, given or 0, num_threads, shown, begin_at)
+        self._begin_at = begin_at
         self._num_threads = num_threads
         self._unseeded = given is None and not task.fixed_start
         self._pictures = Pictures(self.sim)
@@ -100,7 +103,9 @@ class QuestVecEnv(VecEnv, EzPickle):
         Raises:
             InputError: the clips cannot be played.
         """
-        sim = BatchSim(clips, self.sim.config, self.num_envs, seed, self._num_threads)
+        sim = BatchSim(
+            clips, self.sim.config, self.num_envs, seed, self._num_threads, begin_at=self._begin_at
+        )
         self.sim.close()
         self.sim, self._pictures, self._restored = sim, Pictures(sim), False
 

@@ -9,10 +9,14 @@ import pytest
 from helpers import swaying_clip
 
 from agents.kinematic.first_answers import first_answers
+from agents.training.options import TrainArgs
+from agents.training.rollout_worker import BatchSpec
+from agents.training.start_estimates import start_estimates
 from envs import BatchSim, EnvConfig, Terrain
 from envs.starts import Starts
 from questsim.errors import InputError
 from questsim.motion.kinematics import clip_from_qpos
+from questsim.motion.library import save_library
 from questsim.skeleton import LINKS
 
 CLIPS = [swaying_clip("a", 1.75), swaying_clip("b", 1.6)]
@@ -74,3 +78,29 @@ def test_first_answers_are_near_their_user() -> None:
     assert estimate.height_m == CLIPS[0].height_m and 2 < len(estimate) < 10
     apart = np.linalg.norm(estimate.link_position[0] - CLIPS[0].link_position[0], axis=-1)
     assert 1e-3 < apart.mean() < 0.15
+
+
+def test_a_training_takes_the_estimates_of_its_motions_and_refuses_others(tmp_path) -> None:
+    path, far = tmp_path / "estimates.npz", tmp_path / "far.npz"
+    near = shifted("b@hmdposer", 1.6, 72)
+    save_library(path, [], [near])
+    qpos = near.qpos.copy()
+    qpos[:, 0] += 3.0
+    save_library(far, [], [clip_from_qpos("b@hmdposer", qpos, 1.6)])
+    args = TrainArgs(tmp_path / "run", starts=Starts(estimate=0.5), start_estimates=str(path))
+    found = start_estimates(args, CLIPS)
+    assert found is not None and list(found) == ["b"]
+    spec = BatchSpec(CLIPS, EnvConfig(starts=args.starts), 2, 0, begin_at=found)
+    env = spec.make()
+    env.change_clips(CLIPS[::-1], 1)
+    env.reset()
+    env.close()
+    for changed, message in (
+        ({"start_estimates": None}, "needs estimates"),
+        ({"starts": Starts()}, "not used without a share"),
+        ({"start_estimates": str(far)}, "no estimate of this motion"),
+    ):
+        with pytest.raises(InputError, match=message):
+            start_estimates(replace(args, **changed), CLIPS)
+    with pytest.raises(InputError, match="of none of --motions"):
+        start_estimates(args, CLIPS[:1])

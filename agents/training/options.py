@@ -65,6 +65,9 @@ class TrainArgs:
     """Domain randomisation across the simulations."""
     starts: Starts = field(default_factory=Starts)
     """Initial state of episodes; by default the motion's own state."""
+    start_estimates: str | None = None
+    """Libraries that questsim estimate made of --motions, separated by commas, in whose states the
+    share --starts.estimate of the episodes begins."""
     hold_out: str = ""
     """Styles, separated by commas, to hold out from training and evaluate on."""
     validation: str | None = None

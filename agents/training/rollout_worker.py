@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,11 +35,18 @@ class BatchSpec:
     seed: int
     threads: int = 1
     shown: Sequence[Clip] | None = None
+    begin_at: Mapping[str, Clip] | None = None
 
     def make(self) -> QuestVecEnv:
         """Create the batch."""
         return QuestVecEnv(
-            self.clips, self.config, self.num_envs, self.seed, self.threads, self.shown
+            self.clips,
+            self.config,
+            self.num_envs,
+            self.seed,
+            self.threads,
+            self.shown,
+            begin_at=self.begin_at,
         )
 
 

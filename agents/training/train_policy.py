@@ -37,6 +37,7 @@ from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PRESETS, PPOConfig, Preset, StageConfig, shown_estimates
 from agents.training.rollout_worker import BatchSpec
 from agents.training.stage import Budget, Stage, Stopper
+from agents.training.start_estimates import start_estimates
 from envs.config import EnvConfig
 from envs.objects import objects_named
 from envs.pushes import Pushes
@@ -84,7 +85,7 @@ def train(args: TrainArgs) -> int:
         refuse_existing(args.out)
     clips = load_clips(args)
     check_share(args.vary, args.redraw, clips)
-    shown = _estimates(args, clips)
+    shown, begin_at = _estimates(args, clips), start_estimates(args, clips)
     if shown is None:
         data = data_record(args.motions, clips)
     else:
@@ -108,7 +109,7 @@ def train(args: TrainArgs) -> int:
     folder, cluster = only_training(args.out), _cluster(args)
     with folder, cluster, Display() as display, stopper.listening():
         for name in names:
-            _run_stage(name, args, preset, clips, shown, data, display, stopper, begin)
+            _run_stage(name, args, preset, clips, shown, begin_at, data, display, stopper, begin)
             if stopper.requested:
                 display.say(f"stopped; go on with --resume --out {args.out}")
                 return INTERRUPTED
@@ -224,6 +225,7 @@ def _run_stage(
     preset: Preset,
     clips: Sequence[Clip],
     shown: Pairs | None,
+    begin_at: dict[str, Clip] | None,
     data: dict[str, Any],
     display: Display,
     stopper: Stopper,
@@ -247,11 +249,11 @@ def _run_stage(
     fresh = FreshMotions(learnt, args.vary, args.redraw or REDRAW_STEPS, seed)
     draw = fresh.last(args.out / name / "last") if args.resume else 0
     part = seen(learnt)
-    batch = BatchSpec(fresh.at(draw), env_config, count, seed + draw, args.threads, part)
+    batch = BatchSpec(fresh.at(draw), env_config, count, seed + draw, args.threads, part, begin_at)
     env = batch.make() if args.workers == 0 else ActorPool(batch, args.workers)
     sim = evaluation_sim(
         validation,
-        replace(env_config, fixed_start=True, max_error_m=EnvConfig().max_error_m),
+        _validation_config(env_config),
         args.threads,
         shown=seen(validation),
     )
@@ -292,6 +294,13 @@ def _run_stage(
     finally:
         sim.close()
         env.close()
+
+
+def _validation_config(config: EnvConfig) -> EnvConfig:
+    """Like the training's, from each clip's first frame; its clips have no estimates."""
+    starts = None if config.starts is None else replace(config.starts, estimate=0.0)
+    limit = EnvConfig().max_error_m
+    return replace(config, fixed_start=True, max_error_m=limit, starts=starts)
 
 
 def _env_config(args: TrainArgs, preset: Preset, config: StageConfig) -> EnvConfig:

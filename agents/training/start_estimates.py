@@ -1,0 +1,64 @@
+"""Estimates of a kinematic system in whose states training episodes begin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from agents.training.options import TrainArgs
+from questsim.body import DEFAULT_HEIGHT_M
+from questsim.errors import InputError
+from questsim.motion.clip import Clip
+from questsim.motion.kinematics import clip_from_qpos
+
+FAR_M = 0.5
+"""An estimate whose links are further than this from the motion's, on average, is of another."""
+_SPARE_FRAMES = 2
+"""Recordings of other frame rates may end this many frames later."""
+
+
+def start_estimates(args: TrainArgs, clips: Sequence[Clip]) -> dict[str, Clip] | None:
+    """The estimates of ``--start-estimates`` by the names of their clips; None without any.
+
+    Raises:
+        InputError: only one of the two options is given, or an estimate is of other motions.
+    """
+    from questsim.motion.spec import load_motions
+
+    if args.starts.estimate > 0.0 and args.start_estimates is None:
+        raise InputError("needs estimates", "--starts.estimate", "add --start-estimates LIBRARY")
+    if args.start_estimates is None:
+        return None
+    if args.starts.estimate == 0.0:
+        fix = "add --starts.estimate SHARE"
+        raise InputError("is not used without a share", "--start-estimates", fix)
+    known = {clip.name: clip for clip in clips}
+    found = {}
+    for estimate in load_motions(args.start_estimates, seed=args.seed):
+        user, at, _ = estimate.name.rpartition("@")
+        if not at or user not in known:
+            raise InputError(
+                f"{estimate.name!r} is an estimate of none of --motions",
+                args.start_estimates,
+                "name a library that questsim estimate made of them",
+            )
+        found[user] = _checked(estimate, known[user], args.start_estimates)
+    return found
+
+
+def _checked(estimate: Clip, clip: Clip, where: str) -> Clip:
+    """An estimate, no longer than its clip."""
+    frames = min(len(estimate), len(clip))
+    common, truth = (c.scaled(DEFAULT_HEIGHT_M).link_position[:frames] for c in (estimate, clip))
+    apart = float(np.linalg.norm(common - truth, axis=-1).mean())
+    if len(estimate) - len(clip) > _SPARE_FRAMES or apart > FAR_M:
+        raise InputError(
+            f"{estimate.name!r} is no estimate of this motion: {len(estimate)} frames for "
+            f"{len(clip)}, {apart:.2f} m apart",
+            where,
+            "make it again by questsim estimate",
+        )
+    if len(estimate) == frames:
+        return estimate
+    return clip_from_qpos(estimate.name, estimate.qpos[:frames], estimate.height_m)
