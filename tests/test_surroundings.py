@@ -239,7 +239,7 @@ def test_surroundings_are_restored_to_the_bit() -> None:
     [
         (lambda: WorldObject("anvil"), "unknown object 'anvil'; choose from ball"),
         (lambda: WorldObject(mass_kg=0.0), "mass_kg is 0"),
-        (lambda: WorldObject(ahead_s=(2.0, 1.0)), "ahead_s is .* no range"),
+        (lambda: WorldObject(ahead_s=(2.0, 1.0)), "ahead_s is .* not a range"),
         (lambda: WorldObject(aside_m=(0.0, np.nan)), "aside_m"),
         (lambda: Pushes(force_n=(0.0, 1e6)), "force_n"),
         (lambda: Pushes(force_n=100.0), "force_n is 100.0, not a range"),  # type: ignore[arg-type]
