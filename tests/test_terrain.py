@@ -362,7 +362,7 @@ def test_a_terrain_is_read_from_its_name_and_options() -> None:
     for text, message in (
         ("lava", "unknown terrain"),
         ("rough:depth=1", "not an option of a terrain"),
-        ("rough:seed", "no option"),
+        ("rough:seed", "not an option"),
         ("rough:seed=a", "'a' is not of type int"),
         ("rough:amplitude_m=9", "amplitude_m is 9"),
     ):
