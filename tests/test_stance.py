@@ -18,7 +18,7 @@ from questsim.motion.retarget import to_clip
 from questsim.motion.retarget_back import to_motion
 from questsim.motion.retarget_stream import StreamRetargeter
 from questsim.motion.spec import load_motions
-from questsim.motion.stance import Soles, from_lean, lean, measure_soles, plant
+from questsim.motion.stance import Soles, from_lean, lean, lowest_point, measure_soles, plant
 from questsim.motion.stance_figures import stance_figures
 from questsim.skeleton import DOFS, FOOT_LINKS, JOINTS
 
@@ -136,6 +136,18 @@ def test_stairs_and_ramps_are_left_alone() -> None:
         assert not measure_soles(climbing, feet, HEIGHT).flat
 
 
+def test_ground_is_level_for_someone_on_tiptoe() -> None:
+    ankles, feet = standing(100)
+    ankles[..., 2] += 0.065
+    feet[40:60] = from_lean(np.zeros(()), np.radians(50.0), np.zeros(()))
+    # The toes bend, the avatar's sole does not: it sinks to what looks like the floor.
+    sunk = lowest_point(ankles, feet, HEIGHT)[40:60]
+    ankles[40:60, :, 2] -= sunk
+    found = measure_soles(ankles, feet, HEIGHT)
+    assert found.flat
+    np.testing.assert_allclose(found.level_m, 0.065, atol=0.01)
+
+
 def test_a_capture_whose_floor_slopes_a_little_is_levelled() -> None:
     ankles, feet = standing(240)
     step = (np.arange(240)[:, None] + [0, 15]) // 30
@@ -192,3 +204,25 @@ def test_figures_are_those_of_a_foot_lifted_by_hand() -> None:
     assert found.sole_cm == pytest.approx(2.0, abs=0.05) and found.tilt_cm < 0.05
     assert found.still == 1.0 and np.isnan(found.contact)
     assert found.warnings() == ["still soles are 2.0 cm off the floor"]
+
+
+def skating(clip: Clip) -> float:
+    """Mean speed in m/s of the centres of still soles."""
+    feet = list(FOOT_LINKS)
+    points = sole_positions(clip.link_position[:, feet], clip.link_quat[:, feet], clip.height_m)
+    speed = np.linalg.norm(np.gradient(points.mean(axis=-2), 1 / 36, axis=0), axis=-1)
+    return float(speed[soles(clip)[2]].mean())
+
+
+def test_feet_of_a_stream_that_point_outwards_skate_no_more_than_a_whole_motions(
+    walk: Clip,
+) -> None:
+    motion = spoiled(to_motion(walk))
+    rotations = motion.rotations[:90].copy()
+    for ankle, outwards in zip(ANKLES, (0.6, -0.6), strict=True):
+        rotations[:, ankle] = rot.quat_multiply(rotations[:, ankle], rot.yaw_quat(outwards))
+    motion = replace(motion, root_position=motion.root_position[:90], rotations=rotations)
+    whole = to_clip(motion)
+    rows = StreamRetargeter(motion, whole.height_m)(motion)
+    stream = clip_from_qpos("stream", rows, whole.height_m)
+    assert skating(stream) < 1.1 * skating(whole)

@@ -13,6 +13,7 @@ import numpy as np
 
 from questsim.body import build_body
 from questsim.motion.footing import ANKLES, leg_targets, measure_footing
+from questsim.motion.kinematics import sole_positions
 from questsim.motion.limbs import SIDES, fill_arm, fill_leg, fill_trunk, hips_of, leg_m
 from questsim.motion.motion import Motion
 from questsim.motion.stance import lowest_point
@@ -54,17 +55,21 @@ class StreamRetargeter:
         root, ankles = leg_targets(poses, position, quat, self._height, self._footing.rise_m)
         root[:, 2] -= self._footing.floor_m
         ankles[..., 2] -= self._footing.floor_m
-        feet = quat[:, ANKLES]
+        feet, bears = quat[:, ANKLES], np.zeros(ankles.shape[:2])
         if self._planter is not None:
             hips = hips_of(root, quat, self._height)
-            ankles, feet, rise = self._planter(hips, ankles, feet, leg_m(self._height))
+            ankles, feet, rise, bears = self._planter(hips, ankles, feet, leg_m(self._height))
             root[:, 2] += rise
-        # The ankle's missing degrees of freedom may push a sole below its target, into the floor.
+        # The ankle's missing degrees of freedom may push a sole below its target, into the floor,
+        # or make a planted one skate.
         allowed = np.minimum(lowest_point(ankles, feet, self._height), 0.0)
         qpos = self._with_legs(root, quat, ankles, feet, angles)
-        lowest = lowest_point(*self._feet(qpos), self._height)
-        if (lowest < allowed).any():
+        wanted = sole_positions(ankles, feet, self._height).mean(axis=-2)
+        soles = sole_positions(*self._feet(qpos), self._height)
+        lowest = soles[..., 2].min(axis=-1)
+        if (lowest < allowed).any() or bears.any():
             ankles[..., 2] += np.maximum(allowed - lowest, 0.0)
+            ankles[..., :2] += bears[..., None] * (wanted - soles.mean(axis=-2))[..., :2]
             qpos = self._with_legs(root, quat, ankles, feet, angles)
         return qpos
 

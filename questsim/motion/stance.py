@@ -36,7 +36,8 @@ highest point is no further above the lowest (median); of the default body."""
 ON_FLOOR_M = 0.06
 """Still soles this near a foot's usual level are on the floor; others are in the air, on things."""
 MIN_ON_FLOOR, MAX_BELOW = 0.6, 0.05
-"""The ground is flat if at least this share of still frames is on the floor, and no more below."""
+"""The ground is flat if at least this share of still frames is on the floor, and no more below it
+with a foot that does not stand on tiptoe."""
 MAX_SLOPE, MIN_RISE_M, MIN_WAY_M = np.tan(np.radians(3.5)), 0.04, 1.5
 """A floor that is steeper is a ramp, not an error of the capture's floor; one that rises by less
 in all, or whose stances lie closer together, is taken to be flat."""
@@ -138,8 +139,13 @@ def measure_soles(ankles: np.ndarray, feet: np.ndarray, height: float) -> Soles:
         return Soles()
     lowest = lowest - ankles[..., :2] @ slope
     level = _levels(lowest, still, near)
-    away = (lowest - level)[still]
-    if (np.abs(away) < near).mean() < MIN_ON_FLOOR or (away < -near).mean() > MAX_BELOW:
+    away = lowest - level
+    if (np.abs(away[still]) < near).mean() < MIN_ON_FLOOR:
+        return Soles()
+    # On tiptoe the toes of a stiff sole sink into level ground.
+    _, pitch, roll = lean(rot.quat_multiply(feet, turn))
+    level_feet = still & (np.abs(pitch) < MAX_PITCH) & (np.abs(roll) < MAX_ROLL)
+    if (away[level_feet] < -near).sum() > MAX_BELOW * still.sum():
         return Soles()
     return Soles(turn, level, slope, flat=True)
 

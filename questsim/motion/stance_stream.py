@@ -50,10 +50,11 @@ class StancePlanter:
         self._rise = np.zeros(2)
         self._root = 0.0
         self._sunk = 0.0
+        self._bears = np.zeros(2)
 
     def __call__(
         self, hips: np.ndarray, ankles: np.ndarray, feet: np.ndarray, leg_m: float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Plant the next poses.
 
         Args:
@@ -62,12 +63,15 @@ class StancePlanter:
             leg_m: length of a stretched leg.
 
         Returns:
-            ankles ``(T, 2, 3)``, feet ``(T, 2, 4)`` and the rise of the root ``(T,)`` in metres.
+            ankles ``(T, 2, 3)``, feet ``(T, 2, 4)``, the rise of the root ``(T,)`` in metres, and
+            how far each foot is planted ``(T, 2)``, 0 to 1.
         """
         ankles, feet, rise = ankles.copy(), feet.copy(), np.empty(len(ankles))
+        bears = np.empty(ankles.shape[:2])
         for row in range(len(ankles)):
             ankles[row], feet[row], rise[row] = self._next(hips[row], ankles[row], feet[row], leg_m)
-        return ankles, feet, rise
+            bears[row] = self._bears
+        return ankles, feet, rise, bears
 
     def _next(
         self, hips: np.ndarray, ankles: np.ndarray, feet: np.ndarray, leg_m: float
@@ -90,6 +94,7 @@ class StancePlanter:
             left_over = away + self._rise
             stands = (speed < SLOW_M_S) & (left_over < TOUCH_M * ratio)
             stands &= left_over <= left_over.min()
+        self._bears = self._bears + (1.0 if first else FOOT_SHARE) * (stands - self._bears)
         lacking = np.where(stands, -away - self._rise, 0.0)
         self._rise = self._rise + (lacking if first else FOOT_SHARE * lacking)
         if stands.any():
