@@ -163,6 +163,8 @@ def pose_samples(
 ) -> dict[str, np.ndarray]:
     """All errors of one clip by name: samples as the functions above give them.
 
+    ``joint_cm`` is ``mpjpe`` by joint, ``(F, 22)``.
+
     ``mpjre``, ``mpjpe``, ``mpjve``, ``h_pe``, ``u_pe``, ``l_pe``, ``r_pe``: heads moved onto each
     other (HMD-Poser and LGSIK-Poser; Jiang et al., AvatarPoser, ECCV 2022). ``pos``, ``vel``,
     ``ee``: roots moved onto each other, ``rot``: of orientations, ``root``: the root alone, nothing
@@ -192,6 +194,7 @@ def pose_samples(
         "root_cm": joints_cm(position, reference, (ROOT,)),
         "vel_cm_s": velocity_cm_s(by_root, reference, fps),
         "ee_cm": joints_cm(by_root, reference, ends),
+        "joint_cm": 100.0 * np.linalg.norm(by_head - reference, axis=-1),
         "world_cm": joints_cm(position, reference),
         "foot_skate_cm_s": foot_skate_cm_s(position, reference, fps),
         "floating_cm": floating_cm(position, reference, fps),

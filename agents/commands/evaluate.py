@@ -130,7 +130,7 @@ def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
     scenario = _scenario(args)
     motions = at_sensor_rate(load_recordings(args.motions, seed=args.seed), args.max_clips)
     filmed(args, motions)
-    jobs = [(found.base, scenario, motion, 0) for motion in motions]
+    jobs = [(found.base, scenario, motion, 0, None) for motion in motions]
     if found.kind == "physics":
         with workers(args.threads) as mapper:
             references = list(mapper(reference, jobs))
@@ -217,8 +217,13 @@ def evaluate_comparison(args: CompareArgs) -> int:
         InputError: there is nothing to compare, or an argument cannot be used.
     """
     from agents.comparison.compare import compare
+    from agents.shipping.cards import rewrite_cards
 
-    return compare(args)
+    code = compare(args)
+    if args.cards and code == 0:
+        for path in rewrite_cards(args.out / "comparison.json"):
+            print(f"written to {path}")
+    return code
 
 
 _BY_FLAG = {

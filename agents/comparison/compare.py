@@ -7,18 +7,16 @@ scenario that it supports; docs/comparison.md describes scenarios and columns.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Iterable, Mapping, Sequence
 
+from agents.comparison.drawn import DRAWN, Scored
 from agents.comparison.options import CompareArgs
 from agents.comparison.plots import plot_accuracy, plot_plausibility
-from agents.comparison.report import COSTS, TABLES, table, write
-from agents.comparison.run import (
-    devices_named,
-    rows_of,
-    run_recording,
-    suiting,
-    workers,
-)
+from agents.comparison.record import FILE as RECORD_FILE
+from agents.comparison.record import Record
+from agents.comparison.report import COSTS, RECORDING, TABLES, row_of, table, write
+from agents.comparison.run import Plan, compute, devices_named, plan_costs, suiting, workers
 from agents.comparison.scenarios import Scenario
 from agents.evaluation.follow import choose_clips
 from agents.kinematic.data import motions_record
@@ -30,19 +28,24 @@ from agents.resolve import (
     PHYSICS,
     SYNTHETIC_POLICY,
     UNTRAINED,
+    base_of,
     resolve,
     shipped_policies,
     shipped_systems,
     with_physics,
 )
+from agents.resolve import ESTIMATE_TRACKER as TRACKER
 from agents.run_folder import versions
-from questsim.errors import InputError, at_least
+from agents.training.monitor import Display
+from questsim.errors import INTERRUPTED, InputError, at_least
 from questsim.files import whole_file
 from questsim.joint_sensors import SENSOR_FPS
 from questsim.motion.motion import Motion
 
 FIGURES = {"accuracy.png": plot_accuracy, "plausibility.png": plot_plausibility}
-FILES: tuple[str, ...] = ("comparison.json", "comparison.csv", "comparison.md", *FIGURES)
+FILES: tuple[str, ...] = (
+    "comparison.json", "comparison.csv", "comparison.md", RECORD_FILE, *FIGURES, *DRAWN,
+)  # fmt: skip
 """Files that a comparison writes; with a film, also ``film.FILES``."""
 
 
@@ -68,23 +71,28 @@ def compare(args: CompareArgs) -> int:
         from agents.comparison.film import to_be_filmed
 
         filmed = to_be_filmed(everything if args.video_clips else recordings, args.video_clips)
-    with workers(args.threads) as mapper:
-        rows = [run_recording(recordings, mapper)]
-        for agent, scenarios in planned.items():
-            for row in rows_of(agent, scenarios, recordings, args.seed, args.threads, mapper):
-                print(f"{agent}: {row.scenario}", file=sys.stderr, flush=True)
-                rows.append(row)
     context = {
         "agents": {agent: resolve(agent).training for agent in planned},
+        "tracker": resolve(TRACKER).training,
         "data": motions_record(args.motions, recordings),
         "versions": versions(),
-        "threads": args.threads,
         "seed": args.seed,
     }
+    plans = all_plans(planned, args)
+    with Record(out, context) as record:
+        try:
+            scored = _scored(plans, recordings, args, record)
+        except KeyboardInterrupt:
+            print(f"stopped; the same command goes on in {out}", file=sys.stderr)
+            return INTERRUPTED
+    rows = [row for row, _ in scored]
     write(rows, context, out)
     for name, plot in FIGURES.items():
         with whole_file(out / name) as path:
             plot(rows, path)
+    for name, draw in DRAWN.items():
+        with whole_file(out / name) as path:
+            draw(scored, path)
     for names in (*TABLES.values(), COSTS):
         print(table(rows, names), end="\n\n")
     print(f"written to {out}")
@@ -93,6 +101,46 @@ def compare(args: CompareArgs) -> int:
 
         film(args.agents or representative(planned), filmed, out, args.threads)
     return 0
+
+
+def all_plans(planned: Mapping[str, Sequence[Scenario]], args: CompareArgs) -> list[Plan]:
+    """Everything to be computed: the recording, then each agent's scenarios and conditions.
+
+    Noise applies to plain scenarios; with physics it is followed from the first start alone.
+    """
+    plans = [Plan(RECORDING, Scenario("60 Hz", ()))]
+    for agent, scenarios in planned.items():
+        physics = resolve(agent).torques or base_of(agent) is not None
+        starts = args.starts if physics else ()
+        for scenario in scenarios:
+            plans.append(Plan(agent, scenario, None, starts))
+            if scenario.plain:
+                plans += [Plan(agent, scenario, noise, starts[:1]) for noise in args.noise]
+    return plans
+
+
+def _scored(
+    plans: Sequence[Plan], motions: Sequence[Motion], args: CompareArgs, record: Record
+) -> list[Scored]:
+    """Compute what is missing and make all rows; times are measured at the end, in one pass."""
+    names = [motion.name for motion in motions]
+    left = sum(len(record.missing([plan.key(row) for row in plan.rows], names)) for plan in plans)
+    whole, done, rate, began = max(left, 1), 0, 0.0, time.monotonic()
+    with Display() as display, workers(args.threads) as mapper:
+        for number, plan in enumerate(plans, start=1):
+            told = f"{plan.agent}: {plan.rows[0]}"
+            for count in compute(plan, motions, args.seed, args.threads, mapper, record):
+                done += count
+                rate = (time.monotonic() - began) / done
+                display.show("compare", min(done / whole, 1.0), told, rate * max(whole - done, 0))
+            minutes = rate * max(whole - done, 0) / 60
+            display.say(f"{number}/{len(plans)} {told}; about {minutes:.0f} min left")
+    scored = []
+    for plan in plans:
+        for row, costs in zip(plan.rows, plan_costs(plan, motions), strict=True):
+            clips = record.of(plan.key(row), names)
+            scored.append((row_of(plan.agent, row, clips, costs), clips))
+    return scored
 
 
 def plan(agents: Sequence[str], sensors: str | None) -> dict[str, list[Scenario]]:

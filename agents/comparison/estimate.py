@@ -58,7 +58,7 @@ def estimate(args: EstimateArgs) -> None:
         raise InputError(f"{args.agent} does not support {args.sensors}", "--sensors")
     check_library_path(args.out)
     motions = at_sensor_rate(load_recordings(args.motions, seed=args.seed), args.max_clips)
-    jobs = [(args.agent, suited[0], motion, 0) for motion in motions]
+    jobs = [(args.agent, suited[0], motion, 0, None) for motion in motions]
     with workers(args.threads) as mapper:
         done = list(mapper(_estimated, jobs))
     save_library(args.out, [motion for motion, _ in done], [clip for _, clip in done])

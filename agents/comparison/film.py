@@ -175,7 +175,8 @@ def parts_of(agent: str, motions: Sequence[Motion], threads: int) -> list[FilmFi
         told = _told(SENSOR_SETS[loaded.needs.sensors])
         return [FilmFigure(agent, told, policy, performed(rollout)) for rollout in rollouts]
     scenario = _shown(suiting(agent, None))
-    poses = [reconstructed((base_of(agent) or agent, scenario, motion, 0)) for motion in motions]
+    base = base_of(agent) or agent
+    poses = [reconstructed((base, scenario, motion, 0, None)) for motion in motions]
     told, pairs = _told(scenario.devices), list(zip(poses, motions, strict=True))
     if base_of(agent) is None:
         return [FilmFigure(agent, told, kinematic, over_users_floor(p, m)) for p, m in pairs]

@@ -8,6 +8,7 @@ from typing import Annotated
 
 from typing_extensions import Doc
 
+from agents.comparison.conditions import Noise, Start
 from agents.resolve import ANY_AGENT
 
 
@@ -24,7 +25,15 @@ class CompareArgs:
     sensors: str | None = None
     """Use only this sensor set, e.g. H+2C or 6T; by default every set that an agent supports."""
     out: Path
-    """Folder for tables, figures and the film."""
+    """Folder for tables, figures and the film. The same command goes on with what is there."""
+    starts: tuple[Start, ...] = ("estimate",)
+    """States in which avatars with physics begin, a row each: the first estimate of the kinematic
+    system (HMD-Poser's for policies), the user's own state, or standing."""
+    noise: tuple[Noise, ...] = ()
+    """Rows of every agent with noisy devices, too: white (5 mm, 0.02 rad), mounts (off by up to 3
+    cm and 10 degrees), latency (83 ms), dropouts (up to 0.5 s), or all of these."""
+    cards: bool = False
+    """Also write the figures into the cards of the shipped agents."""
     video: bool = False
     """Also write a film of all agents side by side."""
     video_clips: tuple[str, ...] = ()
@@ -32,6 +41,6 @@ class CompareArgs:
     max_clips: int | None = None
     """Reconstruct only this many motions, of all kinds."""
     threads: int = 2
-    """Number of parallel processes."""
+    """Number of parallel processes, and of threads of physics; the figures are the same."""
     seed: int = 0
     """Seed of device faults and of the embedded motions."""

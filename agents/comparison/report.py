@@ -5,19 +5,38 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from agents.comparison.summary import Summary
 from agents.kinematic.entry import HEADS_ALIGNED, ROOTS_ALIGNED
 from questsim.files import whole_file
+from questsim.statistics import interval
 
-SCHEMA, SCHEMA_VERSION = "questsim-comparison", 1
+SCHEMA, SCHEMA_VERSION = "questsim-comparison", 2
 WEIGHTINGS = ("equal", "pooled")
 RECORDING = "recording"
 """Name of the row for the motions themselves."""
+
+
+@dataclass(frozen=True)
+class Costs:
+    """What one streamed frame costs, all on one thread; None if not measured.
+
+    Attributes:
+        parameters: number of network parameters, including the tracker's.
+        ms: milliseconds per frame.
+        mmac: millions of multiply-accumulates per frame.
+        stream_kib: KiB of state that a stream keeps between frames.
+    """
+
+    parameters: int = 0
+    ms: float | None = None
+    mmac: float | None = None
+    stream_kib: float | None = None
 
 
 @dataclass(frozen=True)
@@ -26,11 +45,10 @@ class Row:
 
     Attributes:
         agent, scenario: names of the agent and of its scenario.
-        parameters: number of network parameters, including the tracker's.
+        parameters, ms, mmac, stream_kib: see ``Costs``.
         equal: means of the clips' means; pooled: means over all frames, so long clips weigh more.
-        ms: milliseconds per streamed frame; None if not measured.
-        mmac: millions of multiply-accumulates per streamed frame; None if not counted.
-        stream_kib: KiB of state that a stream keeps between frames; None if not counted.
+        std: standard deviations over all frames.
+        low, high: 95 % bootstrap interval of ``pooled`` over clips; none for fewer than 11 clips.
     """
 
     agent: str
@@ -41,40 +59,34 @@ class Row:
     ms: float | None
     mmac: float | None = None
     stream_kib: float | None = None
+    std: dict[str, float] = field(default_factory=dict)
+    low: dict[str, float] = field(default_factory=dict)
+    high: dict[str, float] = field(default_factory=dict)
 
     def figures(self, weighting: str) -> dict[str, float | None]:
         """The figures under a weighting in ``WEIGHTINGS``."""
-        return self.pooled if weighting == "pooled" else self.equal
+        return self.equal if weighting == "equal" else self.pooled
 
 
-def row_of(
-    agent: str, scenario: str, count: int, scored: Sequence[dict[str, np.ndarray]], ms: float | None
-) -> Row:
-    """A row with the means of the samples.
+def row_of(agent: str, scenario: str, scored: Sequence[Summary], costs: Costs) -> Row:
+    """A row with the means of the clips' sums.
 
     Args:
         agent, scenario: names of the agent and of its scenario.
-        count: number of parameters.
-        scored: one dictionary of samples per clip; a mean uses only clips that have its name.
-        ms: milliseconds per frame.
+        scored: one per clip; a mean uses only clips that have its figure.
+        costs: of a frame.
     """
-    names = list(dict.fromkeys(name for samples in scored for name in samples))
-
-    def of(name: str) -> list[np.ndarray]:
-        return [samples[name] for samples in scored if len(samples.get(name, ()))]
-
-    return Row(
-        agent=agent,
-        scenario=scenario,
-        parameters=count,
-        equal={name: _mean(np.array([part.mean() for part in of(name)])) for name in names},
-        pooled={name: _mean(np.concatenate(of(name) or [np.zeros(0)])) for name in names},
-        ms=ms,
-    )
-
-
-def _mean(values: np.ndarray) -> float | None:
-    return float(values.mean()) if len(values) else None
+    row = Row(agent, scenario, costs.parameters, {}, {}, costs.ms, costs.mmac, costs.stream_kib)
+    for name in dict.fromkeys(name for summary in scored for name in summary.figures):
+        sums = np.array([s.figures[name] for s in scored if name in s.figures])
+        count, total, squares = sums.T
+        means, mean = total / count, total.sum() / count.sum()
+        row.equal[name], row.pooled[name] = float(means.mean()), float(mean)
+        row.std[name] = float(np.sqrt(max(squares.sum() / count.sum() - mean**2, 0.0)))
+        ends = interval(means, count)
+        if ends is not None:
+            row.low[name], row.high[name] = ends
+    return row
 
 
 LABELS: dict[str, str] = {
@@ -111,13 +123,16 @@ def table(rows: Sequence[Row], names: Sequence[str], weighting: str = "pooled") 
     Args:
         rows: one line each.
         names: keys of ``LABELS``.
-        weighting: ``equal`` or ``pooled``.
+        weighting: ``equal`` or ``pooled``; ``spread`` for the mean over all frames with standard
+            deviation and interval.
     """
     head = ["agent", "scenario", *(LABELS[name] for name in names)]
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for row in rows:
         figures = {**row.figures(weighting), **{name: getattr(row, name) for name in COSTS}}
         cells = [_cell(figures.get(name)) for name in names]
+        if weighting == "spread":
+            cells = [_spread(row, name) for name in names]
         lines.append(f"| {' | '.join([row.agent, row.scenario, *cells])} |")
     return "\n".join(lines)
 
@@ -128,12 +143,25 @@ def _cell(value: float | None) -> str:
     return f"{value:,}" if isinstance(value, int) else f"{value:.2f}"
 
 
+def _spread(row: Row, name: str) -> str:
+    """``mean ± deviation (low to high)``, as far as there are any."""
+    told = _cell(row.pooled.get(name))
+    if name in row.std:
+        told += f" ± {row.std[name]:.2f}"
+    if name in row.low:
+        told += f" ({row.low[name]:.2f} to {row.high[name]:.2f})"
+    return told
+
+
 def tables(rows: Sequence[Row]) -> str:
     """All tables as Markdown: means over all frames, then the same with clips weighted equally."""
     parts = []
     for title, names in TABLES.items():
         parts += [f"## {title}", "", table(rows, names), ""]
     parts += ["## Costs", "", table(rows, COSTS), ""]
+    parts += ["# Standard deviations over frames, 95 % intervals over clips", ""]
+    for title, names in TABLES.items():
+        parts += [f"## {title}, with deviations", "", table(rows, names, "spread"), ""]
     parts += ["# Means of the clips' means (equal-weighted)", ""]
     for title, names in TABLES.items():
         parts += [f"## {title}, clips alike", "", table(rows, names, "equal"), ""]

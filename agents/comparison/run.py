@@ -3,26 +3,33 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import torch
 
-from agents.comparison.report import RECORDING, Row, row_of
+from agents.comparison.behind import Shown, follow, shown_of
+from agents.comparison.conditions import Noise, Start, called, noisy, starts_of, with_noise
+from agents.comparison.record import Record
+from agents.comparison.report import RECORDING, Costs, Row, row_of
 from agents.comparison.scenarios import PAPER_NAMES, WINDOW, Scenario, faulty, scenarios
+from agents.comparison.summary import Summary, summarise
+from agents.evaluation.follow import evaluation_sim
 from agents.evaluation.rollout import env_config, roll_out
+from agents.kinematic.causal import causal_clip
 from agents.kinematic.efficiency import mmac_a_frame, stream_kib
+from agents.kinematic.first_answers import first_answers
 from agents.kinematic.interface import KinematicSystem, Poses, UserBody
 from agents.kinematic.physics_behind import (
     TRACKER,
     avatar_samples,
-    follow_poses,
     reference_of,
     rollout_samples,
 )
@@ -33,8 +40,8 @@ from agents.policy.policy_agent import PolicyAgent
 from agents.resolve import base_of, resolve
 from questsim.errors import InputError
 from questsim.extensions import load_extensions
-from questsim.joint_sensors import SensorSequence, readings
-from questsim.motion.clip import Clip
+from questsim.joint_sensors import SENSOR_FPS, SensorSequence, readings
+from questsim.motion.clip import FPS, Clip
 from questsim.motion.motion import Motion
 from questsim.motion.retarget import to_clip
 from questsim.pose_metrics import ENDS, pose_samples
@@ -43,6 +50,9 @@ from questsim.sensors import SENSOR_SETS
 
 TIMED_FRAMES = 600
 """Number of frames over which streaming is timed."""
+
+CHUNK = 48
+"""Clips that are simulated together."""
 
 JobT = TypeVar("JobT")
 ResultT = TypeVar("ResultT")
@@ -59,6 +69,8 @@ class Mapper(Protocol):
 
 
 def _begin_process() -> None:
+    # Ctrl-C is the parent's to answer.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     load_extensions()
     torch.set_num_threads(1)
 
@@ -109,33 +121,73 @@ def suiting(agent: str, devices: Sequence[str] | None) -> list[Scenario]:
     return [scenario for scenario in found if scenario.has(devices)]
 
 
-def rows_of(
-    agent: str,
-    chosen: Sequence[Scenario],
+Job = tuple[str, Scenario, Motion, int, Noise | None]
+"""Agent, scenario, motion, seed and fault of the devices."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Rows of one agent in one scenario, which are computed together.
+
+    Attributes:
+        agent, scenario: of the rows.
+        noise: fault of the devices.
+        starts: of the avatar; empty for a kinematic system without physics.
+    """
+
+    agent: str
+    scenario: Scenario
+    noise: Noise | None = None
+    starts: tuple[Start, ...] = ()
+
+    @property
+    def rows(self) -> list[str]:
+        """Scenarios of the rows; with physics the one without comes first."""
+        name = self.scenario.name
+        if not self.starts:
+            return [called(name, self.noise)]
+        found = [called(name, self.noise, start) for start in self.starts]
+        if base_of(self.agent) is not None:
+            found.insert(0, called(name, self.noise) + ", no physics")
+        return found
+
+    def job(self, motion: Motion, seed: int) -> Job:
+        """The work on one motion."""
+        return self.agent, self.scenario, motion, seed, self.noise
+
+    def key(self, row: str) -> str:
+        """Name of a row in the record."""
+        return f"{self.agent}: {row}"
+
+
+def compute(
+    plan: Plan,
     motions: Sequence[Motion],
     seed: int,
     threads: int,
     mapper: Mapper,
-) -> Iterator[Row]:
-    """All rows of one agent: a system, a system with physics, or a torque policy."""
-    if resolve(agent).torques:
-        yield run_policy(agent, chosen[0], motions, threads)
+    record: Record,
+) -> Iterator[int]:
+    """Score the clips that the record lacks; yields how many are done after each step."""
+    names = [motion.name for motion in motions]
+    missing = record.missing([plan.key(row) for row in plan.rows], names)
+    if not plan.starts:
+        jobs = [plan.job(motions[i], seed + i) for i in missing]
+        key = plan.key(plan.rows[0])
+        function = _scored_itself if plan.agent == RECORDING else _scored
+        for i, summary in zip(missing, mapper(function, jobs), strict=True):
+            record.add(key, names[i], summary)
+            yield 1
         return
-    for scenario in chosen:
-        if base_of(agent) is None:
-            yield run(agent, scenario, motions, seed, mapper)
-        else:
-            yield from run_physics(agent, scenario, motions, threads, mapper)
-
-
-def run_recording(motions: Sequence[Motion], mapper: Mapper = map) -> Row:
-    """The row of the motions themselves: zero errors, their own skating, jitter and floating."""
-    return row_of(RECORDING, "60 Hz", 0, list(mapper(_scored_itself, motions)), None)
-
-
-def _scored_itself(motion: Motion) -> dict[str, np.ndarray]:
-    offsets = np.broadcast_to(motion.offsets, (len(motion), *motion.offsets.shape))
-    return _samples(Poses(motion.root_position, motion.rotations, offsets), motion)
+    scored = _behind if base_of(plan.agent) is not None else _policy
+    # The same batches, whatever is missing: noise is drawn by the place in the batch.
+    for chunk in sorted({i // CHUNK for i in missing}):
+        part = range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(motions)))
+        jobs = [plan.job(motions[i], seed + i) for i in part]
+        for row, summaries in scored(plan, jobs, threads, mapper):
+            for i, summary in zip(part, summaries, strict=True):
+                record.add(plan.key(row), names[i], summary)
+        yield len(part)
 
 
 # -- a system ----------------------------------------------------------------------------------
@@ -150,22 +202,35 @@ def run(
     agent: str, scenario: Scenario, motions: Sequence[Motion], seed: int, mapper: Mapper = map
 ) -> Row:
     """Reconstruct all motions in one scenario and score them."""
-    jobs = [(agent, scenario, motion, seed + i) for i, motion in enumerate(motions)]
-    scored = list(mapper(_scored, jobs))
+    jobs: list[Job] = [
+        (agent, scenario, motion, seed + i, None) for i, motion in enumerate(motions)
+    ]
+    return row_of(
+        agent, scenario.name, list(mapper(_scored, jobs)), costs(agent, scenario, motions)
+    )
+
+
+def costs(agent: str, scenario: Scenario, motions: Sequence[Motion]) -> Costs:
+    """What a streamed frame of a kinematic system costs, on this thread."""
     system = _loaded(agent, scenario.options)
-    row = row_of(agent, scenario.name, parameters(system), scored, _streamed_ms(scenario, jobs))
-    if scenario.online or not row.parameters:
-        return row
+    found = Costs(parameters(system), streamed_ms(agent, scenario, motions))
+    if scenario.online or not found.parameters:
+        return found
     sequence = readings(motions[0], scenario.devices)
     mmac = mmac_a_frame(system, sequence, UserBody.of(motions[0]))
-    return replace(row, mmac=mmac, stream_kib=stream_kib(system))
+    return replace(found, mmac=mmac, stream_kib=stream_kib(system))
 
 
-Job = tuple[str, Scenario, Motion, int]
+def _scored(job: Job) -> Summary:
+    return summarise(_samples(reconstructed(job), job[2], job[1].ends), SENSOR_FPS)
 
 
-def _scored(job: Job) -> dict[str, np.ndarray]:
-    return _samples(reconstructed(job), job[2], job[1].ends)
+def _scored_itself(job: Job) -> Summary:
+    """Of the motions themselves: no errors, but their own skating, jitter and floating."""
+    motion = job[2]
+    offsets = np.broadcast_to(motion.offsets, (len(motion), *motion.offsets.shape))
+    poses = Poses(motion.root_position, motion.rotations, offsets)
+    return summarise(_samples(poses, motion), SENSOR_FPS)
 
 
 def _samples(poses: Poses, motion: Motion, ends: Sequence[int] = ENDS) -> dict[str, np.ndarray]:
@@ -181,7 +246,7 @@ def _samples(poses: Poses, motion: Motion, ends: Sequence[int] = ENDS) -> dict[s
 
 def reconstructed(job: Job) -> Poses:
     """A system's estimate of a motion at 60 Hz, streamed or each frame from its window."""
-    agent, scenario, motion, _ = job
+    agent, scenario, motion = job[:3]
     system, sequence, body = _loaded(agent, scenario.options), _told(job), UserBody.of(motion)
     if scenario.online:
         assert isinstance(system, RecurrentPoser)
@@ -190,20 +255,21 @@ def reconstructed(job: Job) -> Poses:
 
 
 def _told(job: Job) -> SensorSequence:
-    """The device signals, with the scenario's faults."""
-    _, scenario, motion, seed = job
-    sequence = readings(motion, scenario.devices)
+    """The device signals, with the scenario's faults and the comparison's noise."""
+    _, scenario, motion, seed, noise = job
+    sequence = noisy(readings(motion, scenario.devices), noise, seed)
     return faulty(sequence, scenario.faults, seed) if scenario.faults else sequence
 
 
-def _streamed_ms(scenario: Scenario, jobs: Sequence[Job]) -> float | None:
+def streamed_ms(agent: str, scenario: Scenario, motions: Sequence[Motion]) -> float | None:
     """Milliseconds per frame on one thread over the first frames; None for windows."""
     if scenario.online:
         return None
     seconds, frames = 0.0, 0
-    for job in jobs:
-        system, sequence = _loaded(job[0], scenario.options), _told(job)
-        system.reset(UserBody.of(job[2]), sequence.names)
+    for i, motion in enumerate(motions):
+        system = _loaded(agent, scenario.options)
+        sequence = _told((agent, scenario, motion, i, None))
+        system.reset(UserBody.of(motion), sequence.names)
         count = min(len(sequence), TIMED_FRAMES - frames)
         told = [sequence[t] for t in range(count)]
         began = time.perf_counter()
@@ -224,29 +290,31 @@ def parameters(system: KinematicSystem) -> int:
 # -- with physics ------------------------------------------------------------------------------
 
 
-def run_physics(
-    agent: str, scenario: Scenario, motions: Sequence[Motion], threads: int, mapper: Mapper = map
-) -> list[Row]:
-    """Two rows: a system's poses on the avatar without and with physics.
+Scored = Iterator[tuple[str, list[Summary]]]
 
-    Both are compared with the motion on the avatar. Milliseconds are per 60 Hz frame.
-    """
-    base = base_of(agent) or agent
-    jobs = [(base, scenario, motion, 0) for motion in motions]
-    references = list(mapper(reference, jobs))
-    kinematic_ms = _streamed_ms(scenario, jobs) or 0.0
-    began = time.perf_counter()
-    rollouts = follow_poses(references, motions, threads)
-    physics_ms = 1000.0 * (time.perf_counter() - began) / sum(map(len, motions))
-    pairs = zip(references, rollouts, strict=True)
-    without = [avatar_samples(clip, rollout.reference, scenario.ends) for clip, rollout in pairs]
-    behind = [rollout_samples(rollout, scenario.ends) for rollout in rollouts]
-    count = parameters(_loaded(base, ()))
-    name, whole = scenario.name, count + _policy_size(TRACKER)
-    return [
-        row_of(agent, f"{name}, no physics", count, without, kinematic_ms),
-        row_of(agent, name, whole, behind, kinematic_ms + physics_ms),
+
+def _behind(plan: Plan, jobs: Sequence[Job], threads: int, mapper: Mapper) -> Scored:
+    """A system's poses on the avatar without physics, then with physics from each start."""
+    based = [(base_of(plan.agent) or plan.agent, *job[1:]) for job in jobs]
+    shown = list(mapper(shown_to, based))
+    truths = list(mapper(to_clip, [job[2] for job in jobs]))
+    ends, rows = plan.scenario.ends, iter(plan.rows)
+    without = [
+        summarise(avatar_samples(each.clip, truth, ends), FPS)
+        for each, truth in zip(shown, truths, strict=True)
     ]
+    yield next(rows), without
+    for row, start in zip(rows, plan.starts, strict=True):
+        pairs = zip(follow(shown, start, threads), truths, strict=True)
+        scored = [
+            rollout_samples(replace(rollout, reference=truth), ends) for rollout, truth in pairs
+        ]
+        yield row, [summarise(samples, FPS) for samples in scored]
+
+
+def shown_to(job: Job) -> Shown:
+    """What the tracker behind a kinematic system is shown."""
+    return shown_of(reconstructed(job), job[2])
 
 
 def reference(job: Job) -> Clip:
@@ -254,14 +322,65 @@ def reference(job: Job) -> Clip:
     return reference_of(reconstructed(job), job[2])
 
 
-def run_policy(agent: str, scenario: Scenario, motions: Sequence[Motion], threads: int) -> Row:
-    """The row of a torque policy on the same motions, with the devices it was trained with."""
-    policy = load_agent(agent)
+def _policy(plan: Plan, jobs: Sequence[Job], threads: int, mapper: Mapper) -> Scored:
+    """A torque policy on the same motions, with the devices it was trained with."""
+    policy, clips = load_agent(plan.agent), list(mapper(to_clip, [job[2] for job in jobs]))
+    for row, start in zip(plan.rows, plan.starts, strict=True):
+        config = with_noise(env_config(policy), plan.noise)
+        config = replace(config, starts=starts_of(start))
+        begin_at = first_answers(clips) if start == "estimate" else None
+        rollouts = roll_out(policy, clips, config, threads, begin_at=begin_at)
+        yield row, [summarise(rollout_samples(r, plan.scenario.ends), FPS) for r in rollouts]
+
+
+def plan_costs(plan: Plan, motions: Sequence[Motion]) -> list[Costs]:
+    """Costs of the rows of a plan, in their order; with noise only the sizes."""
+    base = base_of(plan.agent)
+    if plan.agent == RECORDING:
+        return [Costs()]
+    if plan.starts and base is None:
+        whole = Costs(_policy_size(plan.agent))
+        if plan.noise is None:
+            whole = replace(whole, ms=policy_ms(plan.agent, motions))
+        return [whole] * len(plan.rows)
+    system = base or plan.agent
+    alone = Costs(parameters(_loaded(system, plan.scenario.options)))
+    if plan.noise is None:
+        alone = costs(system, plan.scenario, motions)
+    if not plan.starts:
+        return [alone]
+    alone = replace(alone, mmac=None, stream_kib=None)
+    whole = replace(alone, parameters=alone.parameters + _policy_size(TRACKER))
+    if alone.ms is not None:
+        # A frame of the avatar lasts 1/36 s, one of the system 1/60 s.
+        extra = (policy_ms(TRACKER, motions) + retargeted_ms(motions)) * FPS / SENSOR_FPS
+        whole = replace(whole, ms=alone.ms + extra)
+    return [alone, *[whole] * len(plan.starts)]
+
+
+def policy_ms(agent: str, motions: Sequence[Motion]) -> float:
+    """Milliseconds per 36 Hz frame of a policy and its physics: one avatar on one thread."""
+    policy, clip = load_agent(agent), to_clip(max(motions, key=len))
+    sim = evaluation_sim([clip], env_config(policy))
+    try:
+        policy.bind(sim)
+        sim.reset()
+        policy.reset(1)
+        count = min(len(clip) - 2, TIMED_FRAMES)
+        began = time.perf_counter()
+        for _ in range(count):
+            sim.step(policy.act(sim.observation))
+        return 1000.0 * (time.perf_counter() - began) / count
+    finally:
+        sim.close()
+
+
+def retargeted_ms(motions: Sequence[Motion]) -> float:
+    """Milliseconds per 36 Hz frame of retargeting poses as they come."""
+    motion = max(motions, key=len)
     began = time.perf_counter()
-    rollouts = roll_out(policy, [to_clip(m) for m in motions], env_config(policy), threads)
-    ms = 1000.0 * (time.perf_counter() - began) / sum(map(len, motions))
-    scored = [rollout_samples(rollout, scenario.ends) for rollout in rollouts]
-    return row_of(agent, scenario.name, _policy_size(agent), scored, ms)
+    clip = causal_clip(motion)
+    return 1000.0 * (time.perf_counter() - began) / len(clip)
 
 
 def _policy_size(agent: str) -> int:

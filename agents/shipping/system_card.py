@@ -24,7 +24,7 @@ from questsim.errors import InputError
 
 SHOWN: tuple[str, ...] = (
     "mpjre_deg", "mpjpe_cm", "mpjve_cm_s", "jitter_100_m_s3", "h_pe_cm", "l_pe_cm", "pos_cm",
-    "rot_deg", "ee_cm", "foot_skate_cm_s", "floating_cm", "root_force_bw",
+    "rot_deg", "root_cm", "ee_cm", "foot_skate_cm_s", "floating_cm", "root_force_bw",
 )  # fmt: skip
 """Figures of a comparison that a card includes."""
 
