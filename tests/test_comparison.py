@@ -9,21 +9,27 @@ import pytest
 import torch
 from PIL import Image
 
+from agents.comparison import run as run_module
+from agents.comparison.behind import body_of
 from agents.comparison.compare import FIGURES, FILES, CompareArgs, compare, everyone, plan
+from agents.comparison.conditions import NOISES, noisy
 from agents.comparison.plots import KINDS, kind_of
-from agents.comparison.report import Row, table
+from agents.comparison.report import Costs, Row, row_of, table
 from agents.comparison.scenarios import faulty, scenarios
+from agents.comparison.summary import summarise
 from agents.evaluation import EvaluateArgs, evaluate
 from agents.kinematic import load_system
+from agents.kinematic.causal import causal_clip
 from agents.kinematic.data import MotionBank
 from agents.kinematic.efficiency import mmac_a_frame, stream_kib
-from agents.kinematic.interface import UserBody
+from agents.kinematic.interface import Poses, UserBody
 from agents.kinematic.recurrent.poser import RecurrentPoser
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import save_system
 from questsim.cli import main
-from questsim.errors import InputError
+from questsim.errors import INTERRUPTED, InputError
 from questsim.joint_sensors import SensorSequence, readings
+from questsim.motion.checks import stature_of
 from questsim.motion.library import save_library
 from questsim.motion.retarget_back import to_motion
 from questsim.pose_metrics import pose_samples
@@ -133,6 +139,74 @@ def test_end_effectors_are_those_that_carry_a_device(tmp_path):
         for s in (four, six)
     ]
     assert samples[0].max() == 0.0 and samples[1] == pytest.approx(1.0)
+
+
+def test_a_stopped_comparison_goes_on_and_another_one_is_refused(tmp_path, monkeypatch):
+    motions, out = tmp_path / "motions.npz", tmp_path / "scores"
+    short = to_motion(swaying_clip(frames=10))
+    save_library(motions, [short, replace(short, name="other")], [])
+    args = CompareArgs(agents=("ik",), motions=str(motions), out=out, threads=1)
+    done, real = [], run_module._scored
+
+    def stopped(job):
+        if done:
+            raise KeyboardInterrupt
+        done.append(job)
+        return real(job)
+
+    monkeypatch.setattr(run_module, "_scored", stopped)
+    assert compare(args) == INTERRUPTED and not (out / "comparison.json").exists()
+    with (out / "clips.jsonl").open("a") as file:
+        file.write('{"row": "ik: 6", "cl')  # as Ctrl-C leaves it
+    again = []
+    monkeypatch.setattr(run_module, "_scored", lambda job: again.append(job[2].name) or real(job))
+    assert compare(args) == 0 and len(again) == 1
+    row = json.loads((out / "comparison.json").read_text())["rows"][1]
+    assert row["pooled"]["pos_cm"] < 1.0 and row["std"]["pos_cm"] > 0.0
+    with pytest.raises(InputError, match=r"another comparison \(other seed"):
+        compare(replace(args, seed=1))
+
+
+def test_sums_of_clips_give_the_mean_deviation_and_interval_of_all_samples():
+    rng = np.random.default_rng(0)
+    parts = [rng.normal(3.0, 1.0, n) + i for i, n in enumerate((5, 40, *[20] * 10))]
+    row = row_of("a", "6", [summarise({"pos_cm": part}, 60.0) for part in parts], Costs())
+    whole = np.concatenate(parts)
+    assert row.pooled["pos_cm"] == pytest.approx(whole.mean())
+    assert row.equal["pos_cm"] == pytest.approx(np.mean([part.mean() for part in parts]))
+    assert row.std["pos_cm"] == pytest.approx(whole.std())
+    assert row.low["pos_cm"] < whole.mean() < row.high["pos_cm"]
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_noise_changes_what_it_says_and_nothing_else(noise):
+    motion = to_motion(swaying_clip(frames=200)).resampled(60.0)
+    plain = readings(motion, SENSOR_SETS["H+2C+3IMU"])
+    got = noisy(plain, noise, 3)
+    assert np.array_equal(noisy(plain, noise, 3).position, got.position)
+    off = np.linalg.norm(got.position - plain.position, axis=-1)[:, :3]
+    if noise == "white":
+        assert (got.position - plain.position)[:, :3].std() == pytest.approx(0.005, rel=0.1)
+    elif noise == "mounts":
+        assert off.std(axis=0).max() < 1e-9 and 0.0 < off.max() <= 0.03
+    elif noise == "latency":
+        assert np.array_equal(got.position[5:, :3], plain.position[:-5, :3])
+    assert got.present.all() == (noise not in ("dropouts", "all")) and got.present.any(axis=1).all()
+
+
+def test_a_later_floor_does_not_reach_back_and_a_known_body_is_kept():
+    motion = to_motion(swaying_clip(frames=72)).resampled(60.0)
+    sunk = motion.root_position.copy()
+    sunk[80:, 2] -= 0.2
+    a, b = causal_clip(motion), causal_clip(replace(motion, root_position=sunk))
+    assert np.allclose(a.qpos[:46], b.qpos[:46]) and not np.allclose(a.qpos[60:], b.qpos[60:])
+    offsets = np.broadcast_to(motion.offsets, (len(motion), 22, 3))
+    poses = Poses(motion.root_position, motion.rotations, offsets)
+    assert body_of(poses, motion) is motion.offsets
+    grown = replace(poses, offsets=offsets * 1.0372)
+    assert 100.0 * stature_of(body_of(grown, motion)) == pytest.approx(
+        round(100.0 * stature_of(motion.offsets) * 1.0372)
+    )
 
 
 def test_two_processes_give_the_figures_of_one(tmp_path):

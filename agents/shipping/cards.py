@@ -1,4 +1,7 @@
-"""The figures in the cards of shipped kinematic systems, written anew from a comparison."""
+"""The figures in the cards of shipped kinematic systems, written anew from a comparison.
+
+The comparison's report is kept beside the weights, so that a test can hold the cards against it.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +14,22 @@ from agents.shipping.system_card import comparison_lines
 from questsim.files import whole_file
 
 CARD = "README.md"
+SOURCE = SHIPPED / "comparison.json"
+"""The kept report."""
 _BEGINS, _ENDS = "## Figures\n", "## Intended use\n"
 
 
-def rewrite_cards(report: Path, into: Path | None = None) -> list[Path]:
+def figures_text(report: Path, folder: Path) -> str:
+    """The figures of the system in ``folder`` from a report, as in its card.
+
+    Raises:
+        InputError: the report is not a comparison of this version, or has no row of the system.
+    """
+    training = read_system_card(folder)["training"]
+    return "".join(f"{line}\n" for line in comparison_lines(report, training))
+
+
+def rewrite_cards(report: Path, into: Path = SHIPPED) -> list[Path]:
     """Replace the figures of every shipped system that a comparison has rows of.
 
     Args:
@@ -22,26 +37,28 @@ def rewrite_cards(report: Path, into: Path | None = None) -> list[Path]:
         into: folder of the shipped agents.
 
     Returns:
-        The cards that were written.
+        The files that were written: cards, and the kept report.
 
     Raises:
         InputError: the report is not a comparison of this version.
     """
-    into = into or SHIPPED
-    compared = json.loads(report.read_text(encoding="utf-8"))["context"]["agents"]
+    content = report.read_text(encoding="utf-8")
+    compared = json.loads(content)["context"]["agents"]
     written = []
     for name in shipped_systems():
         folder = into / name
         if name not in compared or not (folder / CARD_FILE).exists():
             continue
-        training = read_system_card(folder)["training"]
-        lines = [_BEGINS, *[f"{line}\n" for line in comparison_lines(report, training)]]
+        figures = figures_text(report, folder)
         card = folder / CARD
         text = card.read_text(encoding="utf-8")
-        begin, end = text.find(_BEGINS), text.index(_ENDS)
+        end = text.index(_ENDS)
+        begin = text.find(_BEGINS)
         begin = end if begin < 0 else begin
         with whole_file(card) as path:
-            path.write_text(text[:begin] + lines[0] + "\n" + "".join(lines[1:]) + text[end:],
-                            encoding="utf-8")  # fmt: skip
+            new = f"{text[:begin]}{_BEGINS}\n{figures}{text[end:]}"
+            path.write_text(new, encoding="utf-8")
         written.append(card)
-    return written
+    with whole_file(into / SOURCE.name) as path:
+        path.write_text(content, encoding="utf-8")
+    return [*written, into / SOURCE.name]
