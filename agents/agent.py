@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from agents.resolve import RANDOM, ZERO
+from questsim.bodies import OwnBody
 from questsim.lazy import imported_on_use
 from questsim.skeleton import NUM_DOFS
 
@@ -21,12 +22,14 @@ class Needs:
         future_frames: number of future frames of the sensors in the observation.
         privileged: whether it observes the reference itself.
         body_preset: name of the body's preset.
+        body: a body of the user's own; None for our avatar.
     """
 
     sensors: str = "H+2C"
     future_frames: int = 6
     privileged: bool = False
     body_preset: str = "default"
+    body: OwnBody | None = None
 
 
 class Agent(Protocol):
@@ -52,20 +55,30 @@ class Agent(Protocol):
         ...
 
 
+def _hinges(env: Any) -> int:
+    """Number of hinges of an environment's avatar: of our own, if it does not say."""
+    avatar = getattr(env, "avatar", None)
+    return NUM_DOFS if avatar is None else len(avatar.dofs)
+
+
 class ZeroAgent:
     """Zero torques; shows how long an avatar takes to fall."""
 
     name, needs = ZERO, Needs()
 
+    def __init__(self) -> None:
+        self._hinges = NUM_DOFS
+
     def bind(self, env: Any) -> None:
         """Anything fits."""
+        self._hinges = _hinges(env)
 
     def reset(self, n: int) -> None:
         """Nothing to forget."""
 
     def act(self, obs: np.ndarray) -> np.ndarray:
-        """Zeros ``(n, 33)``."""
-        return np.zeros((len(obs), NUM_DOFS), dtype=np.float32)
+        """Zeros ``(n, 33)``, or as many columns as the body has hinges."""
+        return np.zeros((len(obs), self._hinges), dtype=np.float32)
 
 
 class RandomAgent:
@@ -76,17 +89,19 @@ class RandomAgent:
     def __init__(self, seed: int = 0) -> None:
         self._seed = seed
         self._random = np.random.default_rng(seed)
+        self._hinges = NUM_DOFS
 
     def bind(self, env: Any) -> None:
         """Anything fits."""
+        self._hinges = _hinges(env)
 
     def reset(self, n: int) -> None:
         """Restart the random numbers."""
         self._random = np.random.default_rng(self._seed)
 
     def act(self, obs: np.ndarray) -> np.ndarray:
-        """Random numbers ``(n, 33)``."""
-        return self._random.uniform(-1.0, 1.0, (len(obs), NUM_DOFS)).astype(np.float32)
+        """Random numbers ``(n, 33)``, or as many columns as the body has hinges."""
+        return self._random.uniform(-1.0, 1.0, (len(obs), self._hinges)).astype(np.float32)
 
 
 _ELSEWHERE = {

@@ -14,6 +14,7 @@ from envs.pushes import Pushes
 from envs.randomisation import Randomisation
 from envs.starts import Starts
 from envs.terrain import Terrain
+from questsim.bodies import OwnBody
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M, PRESETS
 from questsim.errors import InputError
 from questsim.reward import RewardConfig
@@ -56,6 +57,9 @@ class EnvConfig:
         starts: initial states of episodes; None for the state of the reference.
         unscaled_m: stature of the avatar minus that of its user. Device signals and reference are
             those of the user, not scaled to the avatar; errors are measured from the user's links.
+        body: a body of the user's own, see ``questsim.bodies``; None for our avatar. Clips are
+            retargeted to it. It has one size and stands on a plane: no ``heights``, ``terrain``,
+            ``height_scan``, ``objects`` or ``body_preset``.
     """
 
     sensors: str = "H+2C"
@@ -77,6 +81,7 @@ class EnvConfig:
     randomisation: Randomisation | None = None
     starts: Starts | None = None
     unscaled_m: float = 0.0
+    body: OwnBody | None = None
 
     def __post_init__(self) -> None:
         _check_forms(self)
@@ -112,10 +117,29 @@ class EnvConfig:
                 "EnvConfig",
             )
 
+        if self.body is not None:
+            _check_own_body(self)
+
     @property
     def frame_offsets(self) -> tuple[int, ...]:
         """Frames ahead of the present that o_user contains."""
         return tuple(range(1, self.future_frames + 1)) or (0,)
+
+
+def _check_own_body(config: EnvConfig) -> None:
+    """Reject what only our avatar can do."""
+    plain = EnvConfig()
+    for name in ("heights", "terrain", "height_scan", "objects", "body_preset", "unscaled_m"):
+        if getattr(config, name) != getattr(plain, name):
+            raise InputError(
+                f"{name} does not go with a body of your own", "EnvConfig", f"leave {name} out"
+            )
+    if config.starts is not None and config.starts.estimate > 0.0:
+        raise InputError(
+            "starts.estimate does not go with a body of your own",
+            "EnvConfig",
+            "kinematic systems estimate our avatar",
+        )
 
 
 def _whole(value: Any) -> bool:
@@ -166,6 +190,7 @@ def _check_forms(config: EnvConfig) -> None:
         ("pushes", Pushes),
         ("randomisation", Randomisation),
         ("starts", Starts),
+        ("body", OwnBody),
     ):
         check(name, f"None or {kind.__name__}", lambda v, k=kind: v is None or isinstance(v, k))
     check(

@@ -18,6 +18,7 @@ from mujoco import batch as mujoco_batch
 
 from envs import footing, kernels
 from envs.actions import checked_actions
+from envs.avatar import avatar_of
 from envs.config import EnvConfig
 from envs.episode_random import Seeds, Streams
 from envs.footed_clip import footed_clip, joined
@@ -41,13 +42,12 @@ from envs.starts import Estimates
 from envs.surroundings import Surroundings
 from envs.world import build_world
 from questsim import rotations as rot
-from questsim.body import DEFAULT_HEIGHT_M, Body
+from questsim.bodies import clip_for
+from questsim.body import Body
 from questsim.errors import InputError
 from questsim.motion.clip import FPS, Clip
-from questsim.motion.kinematics import sole_positions
 from questsim.reward import COMPILED, Moment, extra_terms
 from questsim.reward import Reference as MomentReference
-from questsim.skeleton import FOOT_LINKS, NUM_DOFS, NUM_LINKS
 
 _CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL.value)
 # Warning counters of states that are not finite or too large; MuJoCo then resets the simulation.
@@ -69,8 +69,6 @@ def _log_warning(message: str) -> None:
 if mujoco.get_mju_user_warning() is None:
     mujoco.set_mju_user_warning(_log_warning)
 
-_NUM_POSITIONS, _NUM_VELOCITIES = 7 + NUM_DOFS, 6 + NUM_DOFS
-_LINKS = slice(1, 1 + NUM_LINKS)
 
 _SAME_HEIGHT_M = 0.002
 _NOW = np.zeros(1, np.int64)
@@ -137,10 +135,14 @@ class BatchSim:
             raise InputError(f"num_envs is {n}, more than the {len(clips)} clips", "fixed_start")
         self.reference = Reference.of(clips, self.config, seed)
         seen = self.reference if shown is None else self._reference_shown(clips, shown, seed)
+        self.avatar = avatar_of(self.config.body)
+        self._sizes = len(self.avatar.dofs), len(self.avatar.links)
+        self._positions, self._velocities = 7 + self._sizes[0], 6 + self._sizes[0]
+        self._links = slice(1, 1 + self._sizes[1])
         self.layout = observation_layout(self.config)
         self.heights = self._heights()
         self._user_heights = self.heights - self.config.unscaled_m
-        self._ratio = self._user_heights / DEFAULT_HEIGHT_M
+        self._ratio = self._user_heights / self.avatar.base_m
         self._estimates = self._estimates_of(begin_at)
         self._build_batch(num_threads, seed)
         self._streams = Streams(n, seed, 0)
@@ -166,7 +168,7 @@ class BatchSim:
         self._views = tuple(self._view(reference) for reference in references)
         # Target of the links. On a terrain it also adapts walking feet; the observation does not.
         level = self.placement.field is None
-        self._target = self._views[0].target if level else Target.of(n, 1)
+        self._target = self._views[0].target if level else Target.of(n, 1, *self._sizes)
         self.true_observation = self._views[0].observation
         self.observation = self._views[-1].observation
         self.reward, compiled_terms = np.zeros(n), np.zeros((n, len(COMPILED)))
@@ -207,7 +209,7 @@ class BatchSim:
                 frames,
                 self._around.faults.poses,
             ),
-            Target.of(self.num_envs, len(self._ahead)),
+            Target.of(self.num_envs, len(self._ahead), *self._sizes),
             np.zeros((self.num_envs, observation_size(self.layout)), np.float32),
         )
 
@@ -252,7 +254,11 @@ class BatchSim:
     def _build_batch(self, num_threads: int, seed: int) -> None:
         config = self.config
 
+        own = self.avatar.own
+
         def build(height: float) -> Body:
+            if own is not None:
+                return own.colliding if config.self_collision else own.body
             return build_world(
                 float(height),
                 config.body_preset,
@@ -261,10 +267,10 @@ class BatchSim:
                 config.objects,
             )
 
-        self.body = build(DEFAULT_HEIGHT_M)
+        self.body = build(self.avatar.base_m)
         models = [build(height).model for height in self.heights]
         if config.randomisation is not None and config.randomisation.of_bodies:
-            models = varied_models(models, config.randomisation, seed)
+            models = varied_models(models, config.randomisation, seed, self._sizes[1])
         self.substeps = self.body.substeps
         self.batch = mujoco_batch.Batch(
             models[0], self.num_envs, nthread=num_threads, persistent=True
@@ -283,17 +289,17 @@ class BatchSim:
     @property
     def link_positions(self) -> np.ndarray:
         """``(n, 16, 3)`` world positions of the links in metres."""
-        return self._xpos[:, _LINKS]
+        return self._xpos[:, self._links]
 
     @property
     def link_quats(self) -> np.ndarray:
         """``(n, 16, 4)`` world orientations of the links, wxyz."""
-        return self._xquat[:, _LINKS]
+        return self._xquat[:, self._links]
 
     @property
     def joint_angles(self) -> np.ndarray:
         """``(n, 33)`` rad."""
-        return self.qpos[:, 7:_NUM_POSITIONS]
+        return self.qpos[:, 7 : self._positions]
 
     @property
     def floor(self) -> np.ndarray:
@@ -308,7 +314,8 @@ class BatchSim:
             clip: the clip that it plays. The reference is this clip, scaled, moved to its place,
                 with its feet adapted to the ground there.
         """
-        scaled, place = clip.scaled(float(self._user_heights[i])), self.placement
+        own, place = self.config.body, self.placement
+        scaled = clip.scaled(float(self._user_heights[i])) if own is None else clip_for(own, clip)
         placed = footed_clip(scaled, place.place[i], place.field)
         faults = self._around.faults
         if not faults.jumped[i]:
@@ -323,13 +330,12 @@ class BatchSim:
         return self._clearance(self._all)
 
     def _clearance(self, ids: np.ndarray) -> np.ndarray:
-        feet = [1 + link for link in FOOT_LINKS]
-        position, quat = self._xpos[ids][:, feet], self._xquat[ids][:, feet]
+        position, quat = self.link_positions[ids], self.link_quats[ids]
         field = self.placement.field
         clearance, heights = np.empty((len(ids), 2)), self.heights[ids]
         for height in np.unique(heights):
             these = heights == height
-            soles = sole_positions(position[these], quat[these], float(height))
+            soles = self.avatar.soles(position[these], quat[these], float(height))
             above = soles[..., 2] - (0.0 if field is None else field.height_at(soles))
             clearance[these] = above.min(axis=-1)
         return clearance
@@ -383,7 +389,7 @@ class BatchSim:
         estimate = self._estimate(ids, rows, clips)
         clearance = partial(self._clearance_in, ids)
         self._around.starts.change(ids, clips, qpos, qvel, clearance, estimate)
-        self.qpos[ids, :_NUM_POSITIONS], self.qvel[ids, :_NUM_VELOCITIES] = qpos, qvel
+        self.qpos[ids, : self._positions], self.qvel[ids, : self._velocities] = qpos, qvel
 
     def _estimate(self, ids: np.ndarray, rows: np.ndarray, clips: np.ndarray) -> Any:
         """The estimates of rows of the reference, in the world; None without estimates."""
@@ -401,7 +407,7 @@ class BatchSim:
 
     def _clearance_in(self, ids: np.ndarray, qpos: np.ndarray) -> np.ndarray:
         """Height ``(m,)`` above the ground of the lowest sole point in poses ``(m, 40)``."""
-        self.qpos[ids, :_NUM_POSITIONS] = qpos
+        self.qpos[ids, : self._positions] = qpos
         with self._surviving():
             self.batch.forward(ids, stage=int(mujoco.mjtStage.mjSTAGE_POS.value))
         return self._clearance(ids).min(axis=-1)
@@ -438,12 +444,12 @@ class BatchSim:
 
         Velocities are finite differences of poses; contact forces are zero.
         """
-        before, after = self.qpos[:, :_NUM_POSITIONS], np.asarray(pose, float)
+        before, after = self.qpos[:, : self._positions], np.asarray(pose, float)
         turn = rot.quat_multiply(rot.quat_conjugate(before[:, 3:7]), after[:, 3:7])
         self.qvel[:, :3] = FPS * (after[:, :3] - before[:, :3])
         self.qvel[:, 3:6] = FPS * rot.as_rotation(turn).as_rotvec()
-        self.qvel[:, 6:_NUM_VELOCITIES] = FPS * (after[:, 7:] - before[:, 7:])
-        self.qpos[:, :_NUM_POSITIONS] = after
+        self.qvel[:, 6 : self._velocities] = FPS * (after[:, 7:] - before[:, 7:])
+        self.qpos[:, : self._positions] = after
         with self._surviving():
             self.batch.forward(stage=_CURRENT)
         self._after_step(physics=False)
@@ -557,14 +563,14 @@ class BatchSim:
         """Data of the last step that reward terms read."""
         rows, target = self._views[0].rows, self._target
         now, scale, place = self.frame, self._ratio[:, None, None], self.placement.place
-        arm = self.link_positions - self._com[:, 1:2]
+        arm, cvel = self.link_positions - self._com[:, 1:2], self._cvel[:, self._links]
         velocity = turned(place, rows.velocity[now] * scale)
         velocity[..., 2] += target.rise[:, 0]
         return Moment(
             joint_angles=self.joint_angles,
-            joint_velocities=self.qvel[:, 6:_NUM_VELOCITIES],
+            joint_velocities=self.qvel[:, 6 : self._velocities],
             link_positions=self.link_positions,
-            link_velocities=self._cvel[:, _LINKS, 3:] + np.cross(self._cvel[:, _LINKS, :3], arm),
+            link_velocities=cvel[..., 3:] + np.cross(cvel[..., :3], arm),
             link_quats=self.link_quats,
             foot_force=self.contact_force[..., 2],
             previous_foot_force=self._previous_force,

@@ -14,6 +14,7 @@ from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.heightfield import HeightField
 from questsim.motion.clip import Clip
+from questsim.skeleton import NUM_DOFS, NUM_LINKS
 
 _ARRAYS = (
     "qpos",
@@ -37,7 +38,7 @@ def footed_clip(clip: Clip, place: np.ndarray, field: HeightField | None) -> Cli
         return _turned_clip(clip, place)
     frames = len(clip)
     common = clip.scaled(DEFAULT_HEIGHT_M)
-    target, rows = Target.of(frames, 1), np.arange(frames)
+    target, rows = Target.of(frames, 1, NUM_DOFS, NUM_LINKS), np.arange(frames)
     many = np.broadcast_to(place, (frames, 4)).copy()
     episodes = Episodes(
         frame=rows,

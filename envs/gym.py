@@ -18,7 +18,6 @@ from envs.options import Motions, clips_of, config_of
 from envs.pictures import Pictures, Window, check_render_mode
 from envs.starts_asked import asked_start, entropy, seeds_of
 from questsim.motion.clip import FPS
-from questsim.skeleton import NUM_DOFS
 
 
 def spaces_of(sim: BatchSim) -> tuple[gym.spaces.Box, gym.spaces.Box]:
@@ -26,7 +25,7 @@ def spaces_of(sim: BatchSim) -> tuple[gym.spaces.Box, gym.spaces.Box]:
     size = observation_size(sim.layout)
     return (
         gym.spaces.Box(-np.inf, np.inf, (size,), np.float32),
-        gym.spaces.Box(-1.0, 1.0, (NUM_DOFS,), np.float32),
+        gym.spaces.Box(-1.0, 1.0, sim.ctrl.shape[1:], np.float32),
     )
 
 
@@ -109,7 +108,7 @@ class QuestEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
             InputError: an action of another shape, or not finite; nothing has moved then.
         """
         sim = self.sim
-        sim.step(checked_actions(action, (NUM_DOFS,))[None])
+        sim.step(checked_actions(action, sim.ctrl.shape[1:])[None])
         if sim.fell[0] or sim.ended[0]:
             sim.record_ended(np.zeros(1, np.int64))
         self._show()

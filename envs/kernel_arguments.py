@@ -8,7 +8,6 @@ import numpy as np
 
 from envs.footsteps import Footsteps
 from questsim.heightfield import HeightField
-from questsim.skeleton import NUM_DOFS, NUM_LINKS
 
 
 class State(NamedTuple):
@@ -93,14 +92,14 @@ class Target(NamedTuple):
     rise: np.ndarray
 
     @staticmethod
-    def of(simulations: int, frames: int) -> Target:
+    def of(simulations: int, frames: int, dofs: int, links: int) -> Target:
         """Allocate targets of ``n`` simulations and ``k`` frames."""
         shape = (simulations, frames)
         return Target(
-            np.zeros((*shape, NUM_DOFS)),
-            np.zeros((*shape, NUM_LINKS, 3)),
-            np.zeros((*shape, NUM_LINKS, 4)),
-            np.zeros((*shape, NUM_LINKS)),
+            np.zeros((*shape, dofs)),
+            np.zeros((*shape, links, 3)),
+            np.zeros((*shape, links, 4)),
+            np.zeros((*shape, links)),
         )
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from envs.avatar import avatar_of
 from envs.config import EnvConfig
 from questsim.sensors import sensor_set
-from questsim.skeleton import FEET, NUM_DOFS, NUM_LINKS
+from questsim.skeleton import FEET
 
 POSE_SIZE = 9
 """A device's position and the first two columns of its rotation matrix."""
@@ -31,16 +32,20 @@ def observation_layout(config: EnvConfig) -> dict[str, slice]:
     (2 sin(angle / 2) times the axis), velocity and angular velocity.
 
     ``"height_scan"``, if the config asks for it, is the height of the ground at ``SCAN_POINTS``.
+
+    The numbers are those of our avatar; another body has its own hinges and links.
     """
+    avatar = avatar_of(config.body)
+    dofs, links = len(avatar.dofs), len(avatar.links)
     layout: dict[str, slice] = {}
     at = 0
     for name, size in (
-        ("joint_angles", NUM_DOFS),
-        ("joint_velocities", NUM_DOFS),
-        ("link_positions", 3 * NUM_LINKS),
-        ("link_orientations", 6 * NUM_LINKS),
-        ("link_linear_velocities", 3 * NUM_LINKS),
-        ("link_angular_velocities", 3 * NUM_LINKS),
+        ("joint_angles", dofs),
+        ("joint_velocities", dofs),
+        ("link_positions", 3 * links),
+        ("link_orientations", 6 * links),
+        ("link_linear_velocities", 3 * links),
+        ("link_angular_velocities", 3 * links),
         ("contact_forces", 3 * len(FEET)),
     ):
         layout[name] = slice(at, at + size)
@@ -52,15 +57,15 @@ def observation_layout(config: EnvConfig) -> dict[str, slice]:
     layout["o_scale"] = slice(at, at + 1)
     at += 1
     if config.privileged:
-        frames = len(config.privileged_frames) * (2 * NUM_DOFS + 9 * NUM_LINKS)
-        layout["privileged"] = slice(at, at + frames + 2 * NUM_DOFS + 12 * NUM_LINKS)
-        layout["reference_joint_angles"] = slice(at, at + NUM_DOFS)
+        frames = len(config.privileged_frames) * (2 * dofs + 9 * links)
+        layout["privileged"] = slice(at, at + frames + 2 * dofs + 12 * links)
+        layout["reference_joint_angles"] = slice(at, at + dofs)
         at += frames
-        layout["midway_joint_angles"] = slice(at, at + NUM_DOFS)
-        layout["reference_torques"] = slice(at + NUM_DOFS, at + 2 * NUM_DOFS)
-        at += 2 * NUM_DOFS
-        layout["tracking_errors"] = slice(at, at + 12 * NUM_LINKS)
-        at += 12 * NUM_LINKS
+        layout["midway_joint_angles"] = slice(at, at + dofs)
+        layout["reference_torques"] = slice(at + dofs, at + 2 * dofs)
+        at += 2 * dofs
+        layout["tracking_errors"] = slice(at, at + 12 * links)
+        at += 12 * links
     if config.height_scan:
         layout["height_scan"] = slice(at, at + len(SCAN_POINTS))
     return layout

@@ -14,13 +14,11 @@ from questsim.heightfield import HeightField
 from questsim.motion.clip import FPS
 from questsim.motion.synthesis.seat import SEAT_BEHIND_M
 from questsim.motion.synthesis.synthetic import SEATED
-from questsim.skeleton import NUM_DOFS
 
 CLEARANCE_M = 0.55
 """Least distance of an object from the avatar's pelvis at the start of an episode."""
 APART_M = 0.9
 """Least distance between two objects: a hurdle reaches 62 cm to each side."""
-_FIRST_QPOS, _FIRST_QVEL = 7 + NUM_DOFS, 6 + NUM_DOFS
 
 
 class Objects(Drawing):
@@ -45,8 +43,8 @@ class Objects(Drawing):
         # Chairs first: the other objects avoid the place of a seated clip's chair.
         self._order = sorted(range(count), key=lambda number: objects[number].kind != "chair")
         self._seats: np.ndarray | None = None
-        self._qvel = qvel[:, _FIRST_QVEL:]
-        self.pose = qpos[:, _FIRST_QPOS:].reshape(n, count, 7)
+        self._qvel = qvel[:, qvel.shape[1] - 6 * count :]
+        self.pose = qpos[:, qpos.shape[1] - 7 * count :].reshape(n, count, 7)
         self._force = sensors[:, 6:].reshape(n, count, 3)
 
     @property

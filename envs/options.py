@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -14,6 +15,7 @@ from envs.objects import WorldObject
 from envs.pushes import Pushes
 from envs.randomisation import Randomisation
 from envs.terrain import Terrain, terrain_named
+from questsim.bodies import read_body
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
 from questsim.reward import RewardConfig
@@ -132,6 +134,10 @@ def _terrain(value: Any) -> Any:
     return _fields_of(Terrain, value, "terrain")
 
 
+def _body(value: Any) -> Any:
+    return read_body(str(value)) if isinstance(value, str | Path) else value
+
+
 def _objects(value: Any) -> Any:
     things = [value] if isinstance(value, str | Mapping | WorldObject) else value
     if not isinstance(things, Sequence):
@@ -178,6 +184,7 @@ def _fields_of(kind: type[_T], value: Any, where: str) -> Any:
 
 _PLAIN: dict[str, Callable[[Any], Any]] = {
     "terrain": _terrain,
+    "body": _body,
     "objects": _objects,
     "pushes": _pushes,
     "heights": _heights,

@@ -64,8 +64,9 @@ class Pictures:
         sim, height = self._sim, float(self._sim.heights[i])
         if height not in self._renderers:
             field = sim.placement.field
-            self._renderers[height] = SceneRenderer([Figure(height)], ground=field)
-        pose = sim.qpos[i, :POSE_SIZE]
+            figure = Figure(height, body=sim.avatar.own)
+            self._renderers[height] = SceneRenderer([figure], ground=field)
+        pose = sim.qpos[i, : 7 + len(sim.avatar.dofs)]
         if i not in self._azimuth:
             self._azimuth[i] = three_quarter_azimuth(pose[None, 3:7])
         markers = []

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from envs.avatar import Avatar
 from envs.episode_random import EpisodeRandom, Seeds, within
 from questsim.errors import InputError
 from questsim.motion.clip import FPS
@@ -77,13 +78,20 @@ class Pusher:
         pushes: options, None for none.
         random: numbers to draw from.
         wrench: the batch's bound ``xfrc_applied`` ``(n, bodies, 6)``.
+        avatar: the body that is pushed.
 
     Attributes:
         force: ``(n, 3)`` N, world: force of the present step.
     """
 
-    def __init__(self, pushes: Pushes | None, random: EpisodeRandom, wrench: np.ndarray) -> None:
-        n = len(wrench)
+    def __init__(
+        self,
+        pushes: Pushes | None,
+        random: EpisodeRandom,
+        wrench: np.ndarray,
+        avatar: Avatar,
+    ) -> None:
+        n, self._avatar = len(wrench), avatar
         self._pushes, self._random, self._wrench = pushes, random, wrench
         self.force = np.zeros((n, 3))
         self._wish = np.zeros((n, 3))
@@ -91,7 +99,7 @@ class Pusher:
         self._pause_s = np.full(n, np.inf)
         self._planned_force, self._planned_s = np.zeros((n, 3)), np.zeros(n)
         self._done, self._clip = np.zeros(n, np.int64), np.zeros(n, np.int64)
-        self._body = np.full(n, 1 + LINKS.index(pushes.body if pushes else "chest"))
+        self._body = np.full(n, 1 + avatar.link(pushes.body if pushes else "chest"))
 
     def begin(self, ids: np.ndarray, clips: np.ndarray) -> None:
         """Begin episodes ``ids`` with clips ``clips``."""
@@ -111,7 +119,7 @@ class Pusher:
         if not 0.0 <= seconds <= MAX_SECONDS or body not in LINKS:
             raise InputError(f"{seconds} s on {body!r}", "push", f"links are {', '.join(LINKS)}")
         self._wrench[i] = 0.0
-        self._wish[i], self._left_s[i], self._body[i] = force, seconds, 1 + LINKS.index(body)
+        self._wish[i], self._left_s[i], self._body[i] = force, seconds, 1 + self._avatar.link(body)
 
     def _plan(self, ids: np.ndarray) -> None:
         """Draw the time until the next push, where one is left."""
@@ -138,7 +146,7 @@ class Pusher:
             if len(begins):
                 self._wish[begins] = self._planned_force[begins]
                 self._left_s[begins] = self._planned_s[begins]
-                self._body[begins] = 1 + LINKS.index(self._pushes.body)
+                self._body[begins] = 1 + self._avatar.link(self._pushes.body)
                 self._done[begins] += 1
                 self._pause_s[begins] = np.inf
                 self._plan(begins)

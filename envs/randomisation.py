@@ -97,9 +97,9 @@ REAL_DEVICES = Randomisation(
 
 
 def varied_models(
-    models: list[mujoco.MjModel], options: Randomisation, seed: int
+    models: list[mujoco.MjModel], options: Randomisation, seed: int, links: int = NUM_LINKS
 ) -> list[mujoco.MjModel]:
-    """Copies of a batch's models with friction and masses drawn for each."""
+    """Copies of a batch's models with friction, and masses of the ``links``, drawn for each."""
     numbers = np.random.default_rng([seed, 10]).random((len(models), 2))
     friction = within(numbers[:, 0], options.friction)
     mass = within(numbers[:, 1], options.mass)
@@ -107,8 +107,8 @@ def varied_models(
     for model, slide, weight in zip(models, friction, mass, strict=True):
         own = mujoco.MjModel.__copy__(model)
         own.geom_friction[:, 0] *= slide
-        own.body_mass[1 : 1 + NUM_LINKS] *= weight
-        own.body_inertia[1 : 1 + NUM_LINKS] *= weight
+        own.body_mass[1 : 1 + links] *= weight
+        own.body_inertia[1 : 1 + links] *= weight
         mujoco.mj_setConst(own, mujoco.MjData(own))
         varied.append(own)
     return varied

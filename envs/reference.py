@@ -7,20 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from envs.avatar import Avatar, avatar_of
 from envs.config import EnvConfig
 from envs.footsteps import Footsteps, footsteps_of
 from envs.kernel_arguments import ReferencePoses, ReferenceRows
-from questsim.body import DEFAULT_HEIGHT_M
+from questsim.bodies.torques import own_torques
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
 from questsim.motion.inverse_dynamics import reference_torques
 from questsim.sensors import device_poses, sensor_set
-from questsim.skeleton import NUM_DOFS
 
 
 @dataclass(frozen=True)
 class Reference:
-    """``F`` frames of all clips, one clip after the other, on the 1.75 m body.
+    """``F`` frames of all clips, one clip after the other, on the avatar of 1.75 m.
+
+    With a body of the user's own on that body, with its links and hinges.
 
     Attributes:
         names, kinds: name and kind of each clip.
@@ -79,7 +81,8 @@ class Reference:
                     "leave it out or lower future_frames",
                 )
         ends = np.cumsum([len(clip) for clip in clips])
-        common = [clip.scaled(DEFAULT_HEIGHT_M) for clip in clips]
+        avatar = avatar_of(config.body)
+        common = avatar.clips(clips, config.body)
         devices = [_devices(clip, config, seed, i) for i, clip in enumerate(common)]
 
         def rows(arrays: Sequence[np.ndarray]) -> np.ndarray:
@@ -88,7 +91,7 @@ class Reference:
         return Reference(
             names=tuple(clip.name for clip in clips),
             kinds=tuple(clip.kind for clip in clips),
-            heights=np.array([clip.height_m for clip in clips]),
+            heights=np.array([clip.height_m for clip in (common if avatar.own else clips)]),
             start=ends - [len(clip) for clip in clips],
             end=ends,
             qpos=rows([clip.qpos for clip in common]),
@@ -97,20 +100,25 @@ class Reference:
             quat=rows([clip.link_quat for clip in common]),
             velocity=rows([clip.link_velocity for clip in common]),
             angular_velocity=rows([clip.link_angular_velocity for clip in common]),
-            torque=(
-                reference_torques(common, config.body_preset)
-                if config.privileged
-                else np.zeros((0, NUM_DOFS), np.float32)
-            ),
+            torque=_torques(avatar, common, config),
             steps=footsteps_of(common if config.terrain is not None else ()),
             dev_position=rows([position for position, _ in devices]),
             dev_quat=rows([quat for _, quat in devices]),
         )
 
 
+def _torques(avatar: Avatar, clips: Sequence[Clip], config: EnvConfig) -> np.ndarray:
+    if not config.privileged:
+        return np.zeros((0, len(avatar.dofs)), np.float32)
+    if avatar.own is not None:
+        return own_torques(avatar.own, clips)
+    return reference_torques(clips, config.body_preset)
+
+
 def _devices(clip: Clip, config: EnvConfig, seed: int, index: int) -> tuple[np.ndarray, np.ndarray]:
     names = sensor_set(config.sensors)
-    position, quat = device_poses(clip.link_position, clip.link_quat, names, clip.height_m)
+    links = avatar_of(config.body).our_links(clip.link_position, clip.link_quat)
+    position, quat = device_poses(*links, names, clip.height_m)
     if config.noise is None:
         return position, quat
     return config.noise.apply(position, quat, np.random.default_rng([seed, index]))

@@ -20,7 +20,6 @@ from envs.options import Motions, clips_of, config_of
 from envs.pictures import Pictures, check_render_mode
 from envs.starts_asked import asked_start, entropy, seeds_of
 from questsim.motion.clip import Clip
-from questsim.skeleton import NUM_DOFS
 
 
 class QuestVecEnv(VecEnv, EzPickle):
@@ -70,7 +69,7 @@ class QuestVecEnv(VecEnv, EzPickle):
         self._unseeded = given is None and not task.fixed_start
         self._pictures = Pictures(self.sim)
         VecEnv.__init__(self, self.sim.num_envs, *spaces_of(self.sim))
-        self._action = np.zeros((self.sim.num_envs, NUM_DOFS))
+        self._action = np.zeros(self.sim.ctrl.shape)
         self._return = np.zeros(self.sim.num_envs)
         self._length = np.zeros(self.sim.num_envs, np.int64)
         self._terms = np.zeros_like(self.sim.reward_terms)

@@ -12,17 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from envs.avatar import Avatar
 from envs.episode_random import Drawing, EpisodeRandom
 from envs.pushes import check_range
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
-from questsim.skeleton import NUM_DOFS
 
 _CENTRE_M = 0.55
 """Height of the centre of mass over stature: a lean of 1 rad moves it by this share."""
-_NUMBERS = 8 + NUM_DOFS
 
 
 @dataclass(frozen=True)
@@ -125,19 +124,19 @@ class Beginnings(Drawing):
     Args:
         options: shares and errors; None for the reference's state.
         random: numbers to draw from.
+        avatar: ranges of the hinges, and the pose upright.
         heights: ``(n,)`` statures in metres.
-        joint_range: ``(33, 2)`` of the hinges in rad.
     """
 
     def __init__(
         self,
         options: Starts | None,
         random: EpisodeRandom,
+        avatar: Avatar,
         heights: np.ndarray,
-        joint_range: np.ndarray,
     ) -> None:
         self._options, self._random, self._heights = options, random, heights
-        self._range = joint_range
+        self._range, self._upright = avatar.joint_range, avatar.upright
 
     def change(
         self,
@@ -160,7 +159,7 @@ class Beginnings(Drawing):
         options = self._options
         if options is None or options.total == 0.0 or len(ids) == 0:
             return
-        numbers = self._random.draw(ids, clips, _NUMBERS)
+        numbers = self._random.draw(ids, clips, 8 + len(self._upright))
         standing = numbers[:, 0] < options.standing
         disturbed = ~standing & (numbers[:, 0] < options.standing + options.disturbed)
         at_reference = options.total - options.estimate
@@ -171,7 +170,7 @@ class Beginnings(Drawing):
             estimated = has & (numbers[:, 0] >= at_reference) & (numbers[:, 0] < options.total)
             qpos[estimated], qvel[estimated] = pose[estimated], velocity[estimated]
         qpos[standing, 3:7] = rot.yaw_quat(rot.heading(qpos[standing, 3:7]))
-        qpos[standing, 7:], qvel[standing] = 0.0, 0.0
+        qpos[standing, 7:], qvel[standing] = self._upright, 0.0
         self._disturb(disturbed, numbers[disturbed], self._heights[ids], qpos, qvel)
         above = clearance(qpos)
         lift = np.where(disturbed, options.lift_m * numbers[:, 7], 0.0)

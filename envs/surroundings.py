@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from mujoco import batch as mujoco_batch
 
+from envs.avatar import avatar_of
 from envs.config import EnvConfig
 from envs.device_faults import DeviceFaults, SignalFaults
 from envs.episode_random import EpisodeRandom, Seeds
@@ -15,8 +16,6 @@ from envs.placement import Placement
 from envs.pushes import Pusher
 from envs.reference import Reference
 from envs.starts import Beginnings
-from questsim.body import DEFAULT_HEIGHT_M, build_body
-from questsim.skeleton import NUM_DOFS
 
 
 class Surroundings:
@@ -48,9 +47,13 @@ class Surroundings:
     ) -> None:
         names, fixed, bind = reference.names, config.fixed_start, batch.bind
         self._reference, self._ratio = reference, ratio
+        avatar = avatar_of(config.body)
         self.placement = Placement(reference, config.terrain, ratio, seed, fixed)
         self.pusher = Pusher(
-            config.pushes, EpisodeRandom(names, len(ratio), seed, 2, fixed), bind("xfrc_applied")
+            config.pushes,
+            EpisodeRandom(names, len(ratio), seed, 2, fixed),
+            bind("xfrc_applied"),
+            avatar,
         )
         self.objects = Objects(
             config.objects,
@@ -72,8 +75,8 @@ class Surroundings:
         self.starts = Beginnings(
             config.starts,
             EpisodeRandom(names, len(ratio), seed, 4, fixed),
-            DEFAULT_HEIGHT_M * ratio,
-            build_body().model.jnt_range[1 : 1 + NUM_DOFS],
+            avatar,
+            avatar.base_m * ratio,
         )
 
     def begin(self, ids: np.ndarray, rows: np.ndarray, clips: np.ndarray) -> None:

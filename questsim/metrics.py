@@ -19,7 +19,7 @@ from questsim.errors import InputError
 from questsim.motion.clip import Clip
 from questsim.motion.kinematics import sole_points
 from questsim.objects import ObjectTrack
-from questsim.skeleton import FEET, FOOT_LINKS, NUM_DOFS, NUM_LINKS
+from questsim.skeleton import FEET, FOOT_LINKS, NUM_LINKS
 from questsim.statistics import interval
 
 SCHEMA, SCHEMA_VERSION = "questsim-metrics", 1
@@ -73,7 +73,8 @@ class Rollout:
         reference: the clip, for this height; at least ``F`` frames.
         link_position: ``(F, 16, 3)`` link origins in the world in metres.
         link_quat: ``(F, 16, 4)`` link orientations, quaternions wxyz.
-        joint_angles: ``(F, 33)`` hinge angles in rad.
+        joint_angles: ``(F, 33)`` hinge angles in rad; another body has its own hinges, and
+            ``link_position`` and ``link_quat`` are where our links are on it.
         foot_clearance: ``(F, 2)`` height in metres of the lowest point of each foot.
         contact_force: ``(F, 2)`` vertical force in N of the floor on each foot, or None for a
             pose shown without physics.
@@ -111,7 +112,7 @@ class Rollout:
         shapes = {
             "link_position": (NUM_LINKS, 3),
             "link_quat": (NUM_LINKS, 4),
-            "joint_angles": (NUM_DOFS,),
+            "joint_angles": (self.reference.qpos.shape[1] - 7,),
             "foot_clearance": (len(FEET),),
             "contact_force": (len(FEET),),
         }

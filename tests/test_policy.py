@@ -22,6 +22,7 @@ from agents.policy.spec import (
     initial_gains,
     noise_by_joint,
 )
+from envs.avatar import avatar_of
 from questsim.errors import InputError
 from questsim.skeleton import DOFS, NUM_DOFS
 
@@ -103,7 +104,7 @@ def test_start_gains_are_four_times_the_damping_over_80_ms():
 
 
 def test_exploration_is_larger_in_legs_and_trunk():
-    noise = dict(zip(DOFS, noise_by_joint(DOFS, 0.12, 0.04), strict=True))
+    noise = dict(zip(DOFS, noise_by_joint(avatar_of(None).strong, 0.12, 0.04), strict=True))
     assert noise["left_hip_y"] == noise["chest_z"] == noise["right_ankle_x"] == 0.12
     assert noise["neck_x"] == noise["left_wrist_x"] == noise["right_shoulder_y"] == 0.04
 

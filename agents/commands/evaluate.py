@@ -33,7 +33,17 @@ from questsim.motion.clip import Clip
 if TYPE_CHECKING:
     from agents.comparison.scenarios import Scenario
 
-_OF_PHYSICS = ("env", "height", "avatar_height", "terrain", "objects", "begin", "noise", "unscaled")
+_OF_PHYSICS = (
+    "env",
+    "height",
+    "avatar_height",
+    "terrain",
+    "objects",
+    "begin",
+    "noise",
+    "unscaled",
+    "body",
+)
 """Environment options, which do not apply to a kinematic system."""
 _STARTS = {
     "reference": None,
@@ -70,7 +80,8 @@ def evaluate(args: EvaluateArgs) -> int:
         return _evaluate_system(args, found)
     agent = load_agent(args.agent)
     height = args.height if args.avatar_height is None else args.avatar_height
-    config = _config_of(args, env_config(agent, args.env, height))
+    config = _config_of(args, env_config(agent, args.env, height, args.body))
+    _refuse_own_body(args, config)
     clips = load_motions(args.motions, seed=args.seed)
     if args.max_clips is not None:
         clips = choose_clips(clips, args.max_clips)
@@ -98,6 +109,17 @@ def _refuse_unused(args: EvaluateArgs, options: Sequence[str]) -> None:
             raise InputError(f"does not go with {args.agent}", f"--{option.replace('_', '-')}")
     if args.height is not None and args.avatar_height is not None:
         raise InputError("does not go with --avatar-height", "--height", "give one of them")
+
+
+def _refuse_own_body(args: EvaluateArgs, config: EnvConfig) -> None:
+    """Refuse options that only our avatar has."""
+    for option in ("assist", "video", "save_motion"):
+        if config.body is not None and getattr(args, option):
+            raise InputError(
+                "does not go with a body of your own",
+                f"--{option.replace('_', '-')}",
+                "leave it out",
+            )
 
 
 def _config_of(args: EvaluateArgs, config: EnvConfig) -> EnvConfig:

@@ -32,6 +32,9 @@ class EvaluateArgs(_FollowArgs):
 
     env: str | None = None
     """Environment id (see questsim envs); by default the one the agent needs."""
+    body: str | None = None
+    """A body of your own instead of our avatar: a TOML file (docs/body.md), or gymnasium-humanoid;
+    by default the one that the policy was trained for."""
     height: float | None = None
     """Scale avatar and clips to this stature in metres; by default each motion's own."""
     avatar_height: float | None = None

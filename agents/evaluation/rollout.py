@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -19,19 +20,25 @@ from questsim.errors import InputError
 from questsim.metrics import Rollout
 from questsim.motion.clip import FPS, Clip
 from questsim.objects import ObjectTrack
-from questsim.skeleton import NUM_DOFS, NUM_LINKS
+from questsim.skeleton import NUM_LINKS
 
 BATCH_CLIPS = 320
 """Largest number of clips simulated at once; recordings of more would fill the memory."""
 
 
-def env_config(agent: Agent, env_id: str | None = None, height_m: float | None = None) -> EnvConfig:
+def env_config(
+    agent: Agent,
+    env_id: str | None = None,
+    height_m: float | None = None,
+    body: str | None = None,
+) -> EnvConfig:
     """Configuration of the environment that an agent needs, or of ``env_id`` if given.
 
     Args:
         agent: its ``needs`` give sensors, future frames and body.
         env_id: a registered environment; its options replace the agent's.
         height_m: stature of all avatars.
+        body: description of a body of the user's own; None for the agent's.
 
     Raises:
         InputError: no such id, or its options do not fit the agent.
@@ -41,6 +48,7 @@ def env_config(agent: Agent, env_id: str | None = None, height_m: float | None =
         "future_frames": agent.needs.future_frames,
         "privileged": agent.needs.privileged,
         "body_preset": agent.needs.body_preset,
+        "body": agent.needs.body if body is None else body,
     }
     if env_id is not None:
         known = sorted(i for i in gym.registry if i.startswith("QuestSim"))
@@ -102,7 +110,7 @@ class Recorder:
         n = sim.num_envs
         self.position = np.zeros((frames, n, NUM_LINKS, 3), np.float32)
         self.quat = np.zeros((frames, n, NUM_LINKS, 4), np.float32)
-        self.angles = np.zeros((frames, n, NUM_DOFS), np.float32)
+        self.angles = np.zeros((frames, n, len(sim.avatar.dofs)), np.float32)
         self.clearance = np.zeros((frames, n, 2), np.float32)
         self.force = np.zeros((frames, n, 2), np.float32)
         self.objects = np.zeros((frames, *sim.objects.pose.shape), np.float32)
@@ -112,8 +120,7 @@ class Recorder:
     def __call__(self, keep: np.ndarray) -> None:
         """Record the present state of the avatars selected by ``keep`` ``(n,)`` bool."""
         sim, at = self._sim, self._at
-        self.position[at] = sim.link_positions
-        self.quat[at] = sim.link_quats
+        self.position[at], self.quat[at] = sim.avatar.our_links(sim.link_positions, sim.link_quats)
         self.angles[at] = sim.joint_angles
         self.clearance[at] = sim.foot_clearance
         self.force[at] = sim.contact_force[..., 2]
@@ -133,6 +140,14 @@ class Recorder:
             )
             for number, obj in enumerate(objects)
         )
+
+
+def _as_ours(sim: BatchSim, clip: Clip) -> Clip:
+    """The clip of another body with the links of our avatar, which metrics compare."""
+    if sim.avatar.own is None:
+        return clip
+    position, quat = sim.avatar.our_links(clip.link_position, clip.link_quat)
+    return replace(clip, link_position=position, link_quat=quat)
 
 
 def _roll_out_batch(
@@ -163,7 +178,7 @@ def _roll_out_batch(
                 style=clip.style,
                 height_m=height,
                 fps=FPS,
-                reference=sim.placed_clip(i, clip),
+                reference=_as_ours(sim, sim.placed_clip(i, clip)),
                 link_position=recorder.position[:frames, i],
                 link_quat=recorder.quat[:frames, i],
                 joint_angles=recorder.angles[:frames, i],

@@ -24,6 +24,8 @@ from agents.policy.networks import ACTIVATIONS, TorquePolicy
 from agents.policy.policy_agent import PolicyAgent, Tracker, new_policy
 from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
 from agents.resolve import POLICY_CARD, resolve_policy
+from envs.avatar import avatar_of
+from questsim.bodies import OwnBody
 from questsim.errors import InputError
 from questsim.files import read_yaml, whole_folder
 from questsim.motion.clip import FPS
@@ -69,14 +71,14 @@ def describe(policy: TorquePolicy, needs: Needs) -> dict[str, Any]:
     """The contents of ``policy.yaml`` without the training record."""
     spec = asdict(policy.spec)
     del spec["critic_blocks"]
-    layout = policy.layout.within(policy.spec.actor_blocks)
+    layout, avatar = policy.layout.within(policy.spec.actor_blocks), avatar_of(needs.body)
     return {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "fps": FPS,
-        "joints": list(DOFS),
-        "links": list(LINKS),
-        "needs": asdict(needs),
+        "joints": list(avatar.dofs),
+        "links": list(avatar.links),
+        "needs": {k: v for k, v in asdict(needs).items() if k != "body" or v is not None},
         "network": {k: list(v) if isinstance(v, tuple) else v for k, v in spec.items()},
         "observation": {name: list(block) for name, block in layout.blocks.items()},
     }
@@ -102,10 +104,30 @@ def read_card(folder: Path) -> dict[str, Any]:
         "links": list(LINKS),
         "fps": FPS,
     }
+    if _own_body(card, path) is not None:  # compared with the environment's when it is bound
+        del expected["joints"], expected["links"]
     for field, value in expected.items():
         if card.get(field) != value:
             raise InputError(_difference(field, card.get(field), value), path, "train it again")
     return card
+
+
+def _own_body(card: dict[str, Any], path: Path) -> OwnBody | None:
+    """The body of a policy for a body of the user's own."""
+    needs = card.get("needs")
+    body = needs.get("body") if isinstance(needs, dict) else None
+    if body is None:
+        return None
+    fields = {"name", "path", "digest"}
+    if not isinstance(body, dict) or set(body) != fields:
+        raise InputError("needs.body is not name, path and digest", path, "train it again")
+    if not all(isinstance(value, str) for value in body.values()):
+        raise InputError("needs.body is not made of texts", path, "train it again")
+    for field in ("joints", "links"):
+        names = card.get(field)
+        if not isinstance(names, list) or not 0 < len(names) <= LARGEST:
+            raise InputError(f"{field} is no list of names", path, "train it again")
+    return OwnBody(**body)
 
 
 def _difference(field: str, found: Any, expected: Any) -> str:
@@ -136,12 +158,13 @@ def load_policy(folder: Path) -> PolicyAgent:
         check_sizes("observation", (1, *(b for _, b in blocks.values())))
         if any(not 0 <= a < b for a, b in blocks.values()):
             raise ValueError("a block of the observation is empty")
-        needs = Needs(**card["needs"])
+        own = _own_body(card, folder / CARD_FILE)
+        needs = Needs(**{**card["needs"], "body": own})
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"the description is incomplete ({error})", folder / CARD_FILE) from error
     if spec.activation not in ACTIVATIONS:
         raise InputError(f"unknown activation {spec.activation!r}", folder / CARD_FILE)
-    policy = new_policy(spec, Layout(blocks))
+    policy = new_policy(spec, Layout(blocks), hinges=len(card["joints"]))
     try:
         policy.load_state_dict(load_file(folder / WEIGHTS_FILE))
     except FileNotFoundError:

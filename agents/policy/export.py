@@ -117,6 +117,9 @@ def check_exportable(agent: Agent, where: str | None = None) -> None:
     where = where or agent.name
     if not isinstance(agent, PolicyAgent):
         raise InputError("is not a trained policy", where)
+    if agent.needs.body is not None:
+        body = agent.needs.body.name
+        raise InputError(f"was trained for the body {body!r}", where, "export one for our avatar")
     spec = agent.policy.spec
     others = [name for name in spec.actor_blocks if name not in SPARSE_BLOCKS]
     if others or spec.reference_head:

@@ -16,7 +16,6 @@ from torch import Tensor, nn
 from agents.policy.balance import PUSHES, Balance
 from agents.policy.spec import JOINT_BLOCK, REFERENCE_BLOCK, TORQUE_BLOCK, Layout, PolicySpec
 from agents.precision import native_bfloat16
-from questsim.skeleton import NUM_DOFS
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "elu": nn.ELU, "silu": nn.SiLU}
 
@@ -196,9 +195,10 @@ def with_head(outputs: Tensor, head: TorqueHead | None, terms: tuple[Tensor, ...
     """
     if head is None:
         return outputs
-    if outputs.shape[1] == NUM_DOFS:
+    hinges = terms[0].shape[1]
+    if outputs.shape[1] == hinges:
         return outputs + head(*terms)
-    return outputs[:, :NUM_DOFS] + head(*terms, PUSH_SCALE * outputs[:, NUM_DOFS:])
+    return outputs[:, :hinges] + head(*terms, PUSH_SCALE * outputs[:, hinges:])
 
 
 class TorquePolicy(ActorCriticPolicy):

@@ -10,6 +10,7 @@ from gymnasium import spaces
 from agents.agent import Needs
 from agents.policy.networks import TorquePolicy
 from agents.policy.spec import Layout, PolicySpec
+from questsim.bodies import OwnBody
 from questsim.errors import InputError
 from questsim.skeleton import NUM_DOFS
 
@@ -37,9 +38,9 @@ class PolicyAgent:
 
     def bind(self, env: Any) -> None:
         """Take the columns of the policy's inputs from ``env.layout``; see ``Agent.bind``."""
-        layout = Layout.of(env.layout)
+        config, layout = getattr(env, "config", None), Layout.of(env.layout)
+        check_body(self.name, self.needs.body, getattr(config, "body", None))
         layout.check_provides(self.policy.layout, self.name)
-        config = getattr(env, "config", None)
         preset = getattr(config, "body_preset", self.needs.body_preset)
         if preset != self.needs.body_preset:
             raise InputError(
@@ -56,12 +57,33 @@ class PolicyAgent:
         return self.policy.predict_batch(obs)
 
 
+def check_body(name: str, trained: OwnBody | None, found: OwnBody | None) -> None:
+    """Refuse a policy on another body than it was trained for."""
+    if (trained and trained.digest) == (found and found.digest):
+        return
+    if trained is None:
+        assert found is not None
+        raise InputError(
+            f"was trained for our own body, not for {found.name!r}", name, "leave out --body"
+        )
+    other = "ours" if found is None else repr(found.name)
+    raise InputError(
+        f"was trained for the body {trained.name!r}, not for {other}",
+        name,
+        f"add --body {trained.path}",
+    )
+
+
 class Tracker(PolicyAgent):
     """A policy that observes the full-body reference of any motion and outputs torques."""
 
 
 def new_policy(
-    spec: PolicySpec, layout: Layout, learning_rate: float = 1e-3, **settings: Any
+    spec: PolicySpec,
+    layout: Layout,
+    learning_rate: float = 1e-3,
+    hinges: int = NUM_DOFS,
+    **settings: Any,
 ) -> TorquePolicy:
     """A policy that is not yet bound to an environment.
 
@@ -69,14 +91,15 @@ def new_policy(
         spec: networks and head.
         layout: the observation blocks it reads.
         learning_rate: learning rate of its optimiser.
+        hinges: number of actions.
         **settings: other arguments of ``TorquePolicy``.
     """
     columns = max(stop for _, stop in layout.blocks.values())
     if spec.torque_head and settings.get("gains") is None:
-        settings["gains"] = np.ones(NUM_DOFS)
+        settings["gains"] = np.ones(hinges)
     return TorquePolicy(
         spaces.Box(-np.inf, np.inf, (columns,), np.float32),
-        spaces.Box(-1.0, 1.0, (NUM_DOFS,), np.float32),
+        spaces.Box(-1.0, 1.0, (hinges,), np.float32),
         lambda _: learning_rate,
         spec=spec,
         layout=layout,

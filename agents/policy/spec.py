@@ -26,7 +26,6 @@ BALANCE: tuple[str, ...] = ("none", "reference", "feet")
 # Exploration noise by joint: large for strong joints, where errors do not end the episode, small
 # for light limbs, which would only tremble (found by trial: 0.12 for legs and trunk, 0.04 for arms
 # and neck).
-LEG_AND_TRUNK_JOINTS = ("hip", "knee", "ankle", "spine", "chest")
 
 HEAD_SETTLING_TIME_S = 0.08
 """The initial stiffness is 4 x damping over this time.
@@ -146,9 +145,11 @@ def initial_gains(torque_limits: np.ndarray, damping: np.ndarray) -> np.ndarray:
     return np.maximum(stiffness / torque_limits, 0.01)
 
 
-def noise_by_joint(
-    joint_names: tuple[str, ...], legs_and_trunk: float, arms_and_neck: float
-) -> np.ndarray:
-    """Standard deviation of the exploration noise ``(33,)``, in units of the action."""
-    strong = [any(part in name for part in LEG_AND_TRUNK_JOINTS) for name in joint_names]
+def noise_by_joint(strong: np.ndarray, legs_and_trunk: float, arms_and_neck: float) -> np.ndarray:
+    """Standard deviation of the exploration noise ``(33,)``, in units of the action.
+
+    Args:
+        strong: ``(33,)`` bool, the hinges of legs and trunk.
+        legs_and_trunk, arms_and_neck: standard deviations of the two groups.
+    """
     return np.where(strong, legs_and_trunk, arms_and_neck)

@@ -31,9 +31,9 @@ from agents.training.rollout_worker import (
     weights_of,
 )
 from agents.training.workers import Workers
+from envs.avatar import avatar_of
 from envs.sb3 import QuestVecEnv
 from questsim.errors import InputError
-from questsim.skeleton import NUM_DOFS
 
 SEED_STEP = 1_000_003
 """Seed difference between workers; the first has the seed of a training without workers."""
@@ -85,6 +85,7 @@ class ActorPool(VecEnv):
         self.torque_limits: np.ndarray = about[0]["torque_limits"]
         self.damping: np.ndarray = about[0]["damping"]
         self.render_mode, self.config = None, batch.config
+        self.avatar = avatar_of(batch.config.body)
         self.reward_names: tuple[str, ...] = about[0]["reward_names"]
         self.reward_terms = np.zeros((batch.num_envs, len(self.reward_names)))
         self.unstable_count = 0
@@ -92,7 +93,7 @@ class ActorPool(VecEnv):
         super().__init__(
             batch.num_envs,
             gym.spaces.Box(-np.inf, np.inf, (about[0]["size"],), np.float32),
-            gym.spaces.Box(-1.0, 1.0, (NUM_DOFS,), np.float32),
+            gym.spaces.Box(-1.0, 1.0, (len(self.avatar.dofs),), np.float32),
         )
 
     @property

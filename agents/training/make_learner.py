@@ -12,15 +12,16 @@ from torch import Tensor
 from agents.policy.balance import PUSHES
 from agents.policy.checkpoint import find_policy, find_teacher, load_critic, load_policy
 from agents.policy.networks import TorquePolicy
-from agents.policy.policy_agent import new_policy
+from agents.policy.policy_agent import check_body, new_policy
 from agents.policy.spec import Layout, initial_gains, noise_by_joint
 from agents.training.dagger import Dagger, DaggerConfig
 from agents.training.learner import Learner
 from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PPOConfig, StageConfig
 from envs import QuestVecEnv
+from questsim.bodies import OwnBody
 from questsim.errors import InputError
-from questsim.skeleton import DOFS, NUM_DOFS
+from questsim.skeleton import NUM_DOFS
 
 if TYPE_CHECKING:
     from agents.training.cluster import ActorPool
@@ -46,22 +47,26 @@ def make_learner(
         return _student(args, config, config.learning, env, seed)
     learner = make_ppo(config, config.learning, env, seed, args.threads)
     if name == "teacher" and args.start is not None:
-        _begin_with(learner.policy, args.start)
+        _begin_with(learner.policy, args.start, env.config.body)
     if name == "finetune":
         start = args.start or args.out / "student"
         copy_actor(_starting_policy(start, env), learner.policy, start)
-        noise = noise_by_joint(
-            DOFS, config.learning.noise_legs_and_trunk, config.learning.noise_arms_and_neck
-        )
+        noise = _noise(config.learning, env)
         learner.policy.log_std.data.copy_(torch.as_tensor(np.log(noise)))
     return learner
+
+
+def _noise(ppo: PPOConfig, env: QuestVecEnv | ActorPool) -> np.ndarray:
+    """Standard deviation of the exploration noise of each hinge."""
+    strong = env.avatar.strong
+    return noise_by_joint(strong, ppo.noise_legs_and_trunk, ppo.noise_arms_and_neck)
 
 
 def make_ppo(
     config: StageConfig, ppo: PPOConfig, env: QuestVecEnv | ActorPool, seed: int, threads: int = 1
 ) -> AdaptivePPO:
     """PPO with a new policy for ``env``."""
-    noise = noise_by_joint(DOFS, ppo.noise_legs_and_trunk, ppo.noise_arms_and_neck)
+    noise = _noise(ppo, env)
     return AdaptivePPO(
         TorquePolicy,
         env,
@@ -106,7 +111,8 @@ def _student(
         )
     teacher.bind(env)
     sparse = Layout.of(env.layout).within(config.policy.actor_blocks)
-    student = new_policy(config.policy, sparse, learning.learning_rate)
+    hinges = len(env.avatar.dofs)
+    student = new_policy(config.policy, sparse, learning.learning_rate, hinges)
     # With several stages, --start initialises the teacher.
     if args.start is not None and args.stage == "student":
         copy_actor(_starting_policy(args.start, env), student, args.start)
@@ -124,14 +130,16 @@ def _starting_policy(where: Path, env: QuestVecEnv | ActorPool) -> TorquePolicy:
     return start.policy
 
 
-def _begin_with(policy: TorquePolicy, teacher: Path) -> None:
+def _begin_with(policy: TorquePolicy, teacher: Path, body: OwnBody | None) -> None:
     """Copy the networks, critic included, and normalisers of another teacher.
 
     Raises:
         InputError: there is no such teacher, or its networks differ.
     """
     folder = find_teacher(teacher)
-    copy_actor(load_policy(folder).policy, policy, teacher)
+    loaded = load_policy(folder)
+    check_body(loaded.name, loaded.needs.body, body)
+    copy_actor(loaded.policy, policy, teacher)
     load_critic(folder, policy)
 
 

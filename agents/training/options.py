@@ -44,6 +44,9 @@ class TrainArgs:
     """Sensor set that the policy observes."""
     future_frames: int = 6
     """Number of future sensor frames that it observes (0 to 6)."""
+    body: str | None = None
+    """A body of your own instead of our avatar: a TOML file, or gymnasium-humanoid; see
+    docs/body.md."""
     heights: tuple[float, float] | None = None
     """Statures in metres to train with; by default each motion's own."""
     mirrored: bool = False

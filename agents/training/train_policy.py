@@ -45,6 +45,7 @@ from envs.randomisation import Randomisation
 from envs.sb3 import QuestVecEnv
 from envs.starts import Starts
 from envs.terrain import terrain_named
+from questsim.bodies import read_body
 from questsim.errors import INTERRUPTED, InputError, at_least
 from questsim.motion.clip import Clip
 
@@ -234,6 +235,8 @@ def _run_stage(
     config = preset.stages[name]
     if shown is not None:
         config = shown_estimates(name, config)
+    if args.body is not None:  # the balance term is of our own legs
+        config = replace(config, policy=replace(config.policy, balance="none"))
     env_config = _env_config(args, preset, config)
     learnt, validation = split_validation(clips, args.hold_out, preset.validation_clips)
     if args.validation is not None:
@@ -273,6 +276,7 @@ def _run_stage(
                 future_frames=args.future_frames,
                 privileged="privileged" in config.policy.actor_blocks,
                 body_preset=preset.body_preset,
+                body=env_config.body,
             ),
             folder=args.out / name,
             budget=_budget(name, args, preset),
@@ -318,6 +322,7 @@ def _env_config(args: TrainArgs, preset: Preset, config: StageConfig) -> EnvConf
         objects=objects_named(args.objects, "--objects"),
         randomisation=None if args.randomisation == Randomisation() else args.randomisation,
         starts=None if args.starts == Starts() else args.starts,
+        body=None if args.body is None else read_body(args.body),
     )
 
 

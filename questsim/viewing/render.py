@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from questsim import rotations as rot
+from questsim.bodies import BodyMap
 from questsim.heightfield import HeightField
 from questsim.objects import ObjectShape
 from questsim.skeleton import NUM_DOFS
@@ -53,11 +54,13 @@ class Figure:
         height_m: stature in metres.
         look: colours.
         devices: whether headset and controllers are worn.
+        body: a body of the user's own, in the colours of its MJCF; None for our avatar.
     """
 
     height_m: float = 1.75
     look: Look = AVATAR
     devices: bool = True
+    body: BodyMap | None = None
 
 
 @dataclass(frozen=True)
@@ -225,7 +228,10 @@ def scene_spec(
     if ground is not None:
         ground.replace_floor(spec)
     for i, figure in enumerate(figures):
-        person = figure_spec(figure.height_m, figure.look, figure.devices)
+        if figure.body is not None:
+            person = figure.body.looks()
+        else:
+            person = figure_spec(figure.height_m, figure.look, figure.devices)
         # MuJoCo warns on stderr of every option in which a guest differs from its host.
         spec.option.timestep, spec.option.integrator = (
             person.option.timestep,

@@ -1,0 +1,87 @@
+"""The avatar of a task: our humanoid, or a body of the user's own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from questsim.bodies import BodyMap, OwnBody, clips_for, map_of
+from questsim.body import DEFAULT_HEIGHT_M, build_body
+from questsim.motion.clip import Clip
+from questsim.motion.kinematics import sole_positions
+from questsim.skeleton import DOFS, FOOT_LINKS, LINKS
+
+_LEG_AND_TRUNK_JOINTS = ("hip", "knee", "ankle", "spine", "chest")
+
+
+@dataclass(frozen=True)
+class Avatar:
+    """Names and numbers of a body; ``L`` links, ``D`` hinges.
+
+    Attributes:
+        links, dofs: names in the order of the physics.
+        joint_range: ``(D, 2)`` rad.
+        upright: ``(D,)`` rad of the pose upright, arms hanging.
+        base_m: stature that reference lengths are of.
+        strong: ``(D,)`` bool, hinges of legs and trunk.
+        own: the map of a body of the user's own; None for our humanoid.
+    """
+
+    links: tuple[str, ...]
+    dofs: tuple[str, ...]
+    joint_range: np.ndarray
+    upright: np.ndarray
+    base_m: float
+    strong: np.ndarray
+    own: BodyMap | None = None
+
+    def clips(self, clips: Sequence[Clip], body: OwnBody | None) -> list[Clip]:
+        """Clips of our avatar as clips of this one, on the body of ``base_m``."""
+        if body is not None:
+            return clips_for(body, clips)
+        return [clip.scaled(self.base_m) for clip in clips]
+
+    def link(self, name: str) -> int:
+        """Index of a link of this body, or of the link that is ours of that name."""
+        if self.own is not None and name in LINKS and name not in self.links:
+            return int(self.own.role_link[LINKS.index(name)])
+        return self.links.index(name)
+
+    def our_links(self, position: np.ndarray, quat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Poses ``(..., 16, 3 | 4)`` of the links of our avatar on this body."""
+        return (position, quat) if self.own is None else self.own.roles(position, quat)
+
+    def soles(self, position: np.ndarray, quat: np.ndarray, height_m: float) -> np.ndarray:
+        """Points ``(m, 2, k, 3)`` of the soles of links ``(m, L, 3)``, ``(m, L, 4)``.
+
+        Of a body of the user's own, the lowest point of each foot.
+        """
+        if self.own is None:
+            feet = list(FOOT_LINKS)
+            return sole_positions(position[:, feet], quat[:, feet], height_m)
+        lowest = np.zeros((len(position), 2, 1, 3))
+        lowest[:, :, 0, 2] = self.own.support.lowest(position, quat)
+        return lowest
+
+
+def avatar_of(body: OwnBody | None) -> Avatar:
+    """The avatar of a task with this body; None is our humanoid."""
+    return _ours() if body is None else _own(body)
+
+
+@lru_cache(maxsize=1)
+def _ours() -> Avatar:
+    strong = np.array([any(part in name for part in _LEG_AND_TRUNK_JOINTS) for name in DOFS])
+    ranges = build_body().model.jnt_range[1 : 1 + len(DOFS)]
+    return Avatar(LINKS, DOFS, ranges, np.zeros(len(DOFS)), DEFAULT_HEIGHT_M, strong)
+
+
+@lru_cache(maxsize=16)
+def _own(body: OwnBody) -> Avatar:
+    own = map_of(body)
+    return Avatar(
+        own.links, own.dofs, own.joint_range, own.rest[7:], own.body.height_m, own.strong, own
+    )

@@ -1,0 +1,247 @@
+"""Bodies of the user's own: description, rest pose, retargeting, environments, policies."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import envs  # noqa: F401  # registers the ids
+from agents.agent import Needs, RandomAgent, ZeroAgent
+from agents.evaluation.rollout import env_config, roll_out
+from agents.policy.checkpoint import load_policy, save_policy
+from agents.policy.policy_agent import PolicyAgent, new_policy
+from agents.policy.spec import Layout, PolicySpec
+from envs.config import EnvConfig
+from envs.core import BatchSim
+from questsim import rotations as rot
+from questsim.bodies import clip_for, map_of, read_body
+from questsim.bodies.retarget import clip_of_poses, poses_of
+from questsim.bodies.torques import own_torques
+from questsim.errors import InputError
+from questsim.metrics import evaluate
+from questsim.motion.clip import Clip
+from questsim.motion.kinematics import clip_from_qpos, sole_points
+from questsim.motion.spec import load_motions
+from questsim.skeleton import FOOT_LINKS, LINKS
+
+ROBOT, GYMNASIUM = Path(__file__).parent / "bodies" / "robot.toml", "gymnasium-humanoid"
+SIDES = ("left", "right")
+
+
+@pytest.fixture(scope="module")
+def walk() -> Clip:
+    clip = load_motions("synthetic:walk")[0]
+    return clip_from_qpos("walk", clip.qpos[60:110], clip.height_m, kind="walk")
+
+
+def write(folder: Path, mjcf: str = "questsim", more: str = "") -> Path:
+    path = folder / "own.toml"
+    path.write_text(f'name = "own"\nmjcf = "{mjcf}"\n{more}', encoding="utf-8")
+    return path
+
+
+def with_toes(folder: Path) -> Path:
+    """Our skeleton with a hinge and a capsule for the toes of each foot."""
+    text = (Path(__file__).parents[1] / "assets/mjcf/humanoid.xml").read_text(encoding="utf-8")
+    for side in SIDES:
+        toes = (
+            f'<body name="{side}_toes" pos="0.13 0 -0.046">'
+            f'<joint name="{side}_toes_y" axis="0 1 0" range="-60 10" damping="0.5"/>'
+            f'<geom name="{side}_toes" type="capsule" fromto="0.02 -0.02 0 0.02 0.02 0"'
+            ' size="0.022" mass="0.1"/></body>'
+        )
+        text = re.sub(rf'<geom name="{side}_toes"[^>]*/>', toes, text)
+        motor = f'<motor name="{side}_toes_y" joint="{side}_toes_y" ctrlrange="-20 20"/>'
+        text = text.replace("</actuator>", f"{motor}</actuator>")
+    (folder / "toes.xml").write_text(text, encoding="utf-8")
+    names = [*LINKS, "left_toes", "right_toes"]
+    return write(folder, "toes.xml", "[links]\n" + "\n".join(f'{n} = "{n}"' for n in names))
+
+
+def limb_angles(body, own: Clip, clip: Clip) -> dict[str, float]:
+    """Mean angle in degrees between the limbs' directions on the body and the avatar."""
+    position, _ = body.roles(own.link_position, own.link_quat)
+    found = {}
+    for side in SIDES:
+        for upper, lower in (("thigh", "shin"), ("shin", "foot"), ("upper_arm", "forearm")):
+            a, b = LINKS.index(f"{side}_{upper}"), LINKS.index(f"{side}_{lower}")
+            one, two = position[:, b] - position[:, a], clip.link_position[:, b]
+            two = two - clip.link_position[:, a]
+            cosine = (one * two).sum(-1) / np.linalg.norm(one, axis=-1)
+            angle = np.arccos(np.clip(cosine / np.linalg.norm(two, axis=-1), -1, 1))
+            found[f"{side}_{upper}"] = float(np.degrees(angle.mean()))
+    return found
+
+
+def test_our_skeleton_with_other_masses_follows_our_clips_to_a_degree(tmp_path, walk):
+    own = read_body(write(tmp_path, more="[masses]\nchest = 20\n[torque_limits]\nneck_y = 7\n"))
+    body = map_of(own)
+    assert body.body.model.body("chest").mass[0] == pytest.approx(20.0)
+    assert body.body.torque_limits[body.dofs.index("neck_y")] == 7.0
+    assert body.body.torque_limits[body.dofs.index("left_hip_y")] == 200.0
+    found = clip_for(own, walk)
+    assert np.degrees(rot.angle_between(found.link_quat, walk.link_quat)).max() < 1.0
+    assert np.abs(found.link_position - walk.link_position).max() < 0.01
+
+
+def test_toes_lie_flat_while_the_heel_rises(tmp_path, walk):
+    own = read_body(with_toes(tmp_path))
+    body, clip = map_of(own), clip_for(own, walk)
+    foot = walk.link_quat[:, FOOT_LINKS[0]]
+    pitch = np.degrees(rot.as_rotation(foot).as_euler("zyx")[:, 1])
+    points = sole_points()[0]
+    ball = rot.quat_rotate(foot, points[points[:, 0].argmax()])
+    ball += walk.link_position[:, FOOT_LINKS[0]]
+    lifted = (pitch > 15.0) & (ball[:, 2] < 0.03)
+    assert lifted.sum() >= 2  # heel-off is in the walk
+    up = rot.quat_rotate(clip.link_quat[:, body.links.index("left_toes")], np.array([0, 0, 1.0]))
+    assert np.degrees(np.arccos(up[lifted, 2])).mean() < 8.0
+    bend = clip.qpos[:, 7 + body.dofs.index("left_toes_y")]
+    assert np.degrees(bend[lifted]).mean() < -10.0
+
+
+@pytest.mark.parametrize("name", [GYMNASIUM, ROBOT], ids=["gymnasium", "robot"])
+def test_other_humanoids_stand_at_rest_and_walk_as_the_avatar_does(name, walk):
+    body = map_of(read_body(name))
+    position, quat = poses_of(body, body.rest[None])
+    roles, turn = body.roles(position[0], quat[0])
+    for side in SIDES:  # arms hang, though both models hold them otherwise in their zero pose
+        arm, hand = (roles[LINKS.index(f"{side}_{part}")] for part in ("upper_arm", "hand"))
+        assert hand[2] < arm[2] and np.linalg.norm((hand - arm)[:2]) < 0.05
+    assert rot.angle_between(turn, np.array([1.0, 0, 0, 0])).max() < np.radians(12)
+    assert body.support.lowest(position, quat) == pytest.approx(0.0, abs=1e-3)
+    clip = clip_for(read_body(name), walk)
+    assert max(limb_angles(body, clip, walk).values()) < 20.0
+    lowest = body.support.lowest(clip.link_position, clip.link_quat)
+    assert lowest.min() > -1e-6 and lowest.min(axis=1).max() < 0.02
+    travelled = np.ptp(clip.qpos[:, 0]) / np.ptp(walk.qpos[:, 0])
+    assert 0.6 < travelled < 1.0
+    assert np.abs(clip.qvel[:, 6:]).max() < 15.0  # no jumps
+
+
+def test_every_size_of_the_task_follows_from_the_map(walk):
+    env = gym.make("QuestSim-v0", motions=[walk], body=str(ROBOT), privileged=True)
+    sim = env.unwrapped.sim  # type: ignore[attr-defined]
+    links, dofs = len(sim.avatar.links), len(sim.avatar.dofs)
+    assert (links, dofs) == (23, 22) and env.action_space.shape == (22,)
+    sparse, teacher = 2 * dofs + 15 * links + 6 + 6 * 3 * 9 + 1, 6 * dofs + 30 * links
+    assert env.observation_space.shape == (sparse + teacher,)
+    obs, info = env.reset(seed=0, options={"clip": 0, "frame": 0})
+    first = sim.reference.qpos[0]
+    np.testing.assert_allclose(obs[:dofs], first[7:], atol=1e-6)
+    assert info["error_m"] < 0.01 and np.isfinite(obs).all()
+    total, loaded = 0.0, 0.0
+    for _ in range(8):
+        obs, reward, _, _, info = env.step(np.zeros(22, np.float32))
+        assert np.isfinite(obs).all() and 0.0 < reward <= 1.0
+        total, loaded = total + reward, max(loaded, info["foot_force_n"][:, 2].max())
+    weight = 9.81 * sim.body.model.body_mass.sum()
+    assert 0.2 * weight < loaded < 20 * weight
+    env.close()
+
+
+def test_the_headset_is_worn_on_the_place_that_the_map_calls_the_head(walk):
+    body = read_body(GYMNASIUM)
+    sim = BatchSim([walk], EnvConfig(body=body), 1)
+    torso = clip_for(body, walk)
+    size = map_of(body).body.height_m / 1.75
+    offset = np.array([0.0, 0.0, 0.12]) + size * np.array([0.12, 0.0, 0.19])
+    want = torso.link_position[:, 0] + rot.quat_rotate(torso.link_quat[:, 0], offset)
+    np.testing.assert_allclose(sim.reference.dev_position[:, 0], want, atol=1e-3)
+    sim.close()
+
+
+def test_torques_of_inverse_dynamics_carry_the_weight_at_rest():
+    body = map_of(read_body(ROBOT))
+    still = clip_of_poses(
+        body, np.repeat(body.rest[None], 3, axis=0), load_motions("synthetic:stand")[0]
+    )
+    torque = own_torques(body, [still])[1]
+    knees = [body.dofs.index(f"{side}_knee_joint") for side in SIDES]
+    assert np.abs(torque[knees]).max() < 0.15  # straight legs carry the weight, not the knees
+    elbows = [body.dofs.index(f"{side}_elbow_joint") for side in SIDES]
+    assert np.abs(torque[elbows]).max() < 0.05
+
+
+def test_evaluation_compares_our_links_on_the_other_body(walk):
+    config = env_config(ZeroAgent(), body=GYMNASIUM)
+    for agent in (ZeroAgent(), RandomAgent()):
+        (rollout,) = roll_out(agent, [walk], config)
+        figures = evaluate([rollout])["all"]
+        assert rollout.link_position.shape[1:] == (16, 3) and rollout.joint_angles.shape[1] == 17
+        assert 1.0 < figures["mpjpe_cm"] < 50.0 and figures["mhpe_cm"] is not None
+    start = rollout.link_position[0] - rollout.reference.link_position[0]
+    assert np.abs(start).max() < 0.01
+
+
+def test_a_policy_is_refused_on_another_body_in_one_line_and_acts_on_its_own(tmp_path, walk):
+    own = read_body(GYMNASIUM)
+    theirs = BatchSim([walk], EnvConfig(body=own), 1)
+    ours = BatchSim([walk], EnvConfig(), 1)
+    layout = Layout.of(theirs.layout)
+    policy = new_policy(PolicySpec(hidden=(8,), critic_blocks=()), layout, hinges=17)
+    save_policy(tmp_path / "p", policy, Needs(body=own), {})
+    agent = load_policy(tmp_path / "p")
+    agent.bind(theirs)
+    theirs.reset()
+    assert agent.act(theirs.observation).shape == (1, 17)
+    with pytest.raises(
+        InputError, match=r"trained for the body 'gymnasium-humanoid', not for ours"
+    ):
+        agent.bind(ours)
+    shipped = PolicyAgent(
+        new_policy(PolicySpec(hidden=(8,), critic_blocks=()), Layout.of(ours.layout)), Needs()
+    )
+    with pytest.raises(InputError, match="our own body, not for 'gymnasium-humanoid'") as refused:
+        shipped.bind(theirs)
+    assert "\n" not in str(refused.value)
+    assert env_config(agent).body == own  # evaluation takes the policy's own body
+    ours.close()
+    theirs.close()
+
+
+def robot_with(folder: Path, old: str, new: str) -> str:
+    text = (ROBOT.parent / "robot.xml").read_text(encoding="utf-8")
+    assert old in text
+    (folder / "robot.xml").write_text(text.replace(old, new), encoding="utf-8")
+    path = folder / "robot.toml"
+    path.write_text(ROBOT.read_text(encoding="utf-8"), encoding="utf-8")
+    return str(path)
+
+
+def test_what_cannot_be_used_is_refused_in_one_line(tmp_path, walk):
+    base = ROBOT.read_text(encoding="utf-8")
+    (tmp_path / "robot.xml").write_bytes((ROBOT.parent / "robot.xml").read_bytes())
+    cases = {
+        'pelvis = "pelvis"': ('pelvis = "hip"', "no body 'hip'"),
+        'name = "robot"': ('nam = "robot"', "there is no field 'nam' .did you mean name"),
+        'chest = "torso_link"': ('ches = "torso_link"', "did you mean chest"),
+        'left_shin = "left_knee_link"\n': ("", "lacks left_shin"),
+        "at = [0.18, 0.0, 0.0]": ("at = [0.18, 0.0]", "not three numbers"),
+        'mjcf = "robot.xml"': ('mjcf = "gone.xml"', "'gone.xml' is no file"),
+        "\n\n[links]": ("\nsubsteps = 0\n[links]", "substeps is 0"),
+        "\n\n[links]\n": ("\n[torque_limits]\nknee = 3\n[links]\n", "no hinge 'knee'"),
+    }
+    for old, (new, message) in cases.items():
+        assert old in base
+        path = tmp_path / "case.toml"
+        path.write_text(base.replace(old, new), encoding="utf-8")
+        with pytest.raises(InputError, match=message) as refused:
+            read_body(path)
+        assert "\n" not in str(refused.value)
+    for old, new, message in (
+        ('axis="0 1 0" range="-0.08 2.8"', 'axis="0 1 0" type="slide" range="-0.08 2.8"', "hinge"),
+        ('range="-0.08 2.8" actuatorfrcrange="-139 139"', 'range="-0.08 2.8"', "no motor with a"),
+        ('<freejoint name="floating_base_joint"/>', "", "0 free joints"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read_body(robot_with(tmp_path, old, new))
+    for field, value in (("heights", (1.6, 1.8)), ("terrain", "rough"), ("objects", ("ball",))):
+        options: dict[str, Any] = {field: value}
+        with pytest.raises(InputError, match=f"{field} does not go with a body of your own"):
+            gym.make("QuestSim-v0", motions=[walk], body=GYMNASIUM, **options)
