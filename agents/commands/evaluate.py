@@ -16,6 +16,7 @@ from agents.evaluation.options import EvaluateArgs, ScorecardArgs, WorldsArgs
 from agents.evaluation.report import evaluation_context, filmed, report
 from agents.evaluation.rollout import env_config, roll_out
 from agents.evaluation.scorecard import format_scorecard, scorecard
+from agents.evaluation.seeds import check_random, format_spread, seeded, spread
 from agents.evaluation.worlds import format_worlds, run_worlds, write_worlds
 from agents.loading import load_agent
 from agents.resolve import ESTIMATE_TRACKER, Resolved, resolve
@@ -43,6 +44,7 @@ _OF_PHYSICS = (
     "noise",
     "unscaled",
     "body",
+    "seeds",
 )
 """Environment options, which do not apply to a kinematic system."""
 _STARTS = {
@@ -61,7 +63,7 @@ def evaluate(args: EvaluateArgs) -> int:
     """
     from questsim.motion.spec import load_motions
 
-    at_least(1, threads=args.threads, max_clips=args.max_clips)
+    at_least(1, threads=args.threads, max_clips=args.max_clips, seeds=args.seeds)
     at_least(0, seed=args.seed)
     if args.video_clips and not args.video:
         raise InputError("needs a video", "--video-clips", "add --video")
@@ -82,15 +84,25 @@ def evaluate(args: EvaluateArgs) -> int:
     height = args.height if args.avatar_height is None else args.avatar_height
     config = _config_of(args, env_config(agent, args.env, height, args.body))
     _refuse_own_body(args, config)
+    check_random(agent, config, args.seeds)
+    if args.seeds > 1 and args.assist:
+        raise InputError("does not go with --seeds", "--assist", "give one of them")
     clips = load_motions(args.motions, seed=args.seed)
     if args.max_clips is not None:
         clips = choose_clips(clips, args.max_clips)
     filmed(args, clips)
     assist = AssistUse(args.assist) if args.assist else None
     begin_at = _estimates(clips) if args.begin == "estimate" else None
-    rollouts = roll_out(agent, clips, config, args.threads, assist=assist, begin_at=begin_at)
+    runs = [
+        roll_out(seeded(agent, seed), clips, config, args.threads, None, assist, begin_at, seed)
+        for seed in range(args.seeds)
+    ]
     context = evaluation_context(args.agent, agent, args.motions, clips, config, args.threads)
-    return report(args, rollouts, context | _assisted(assist))
+    context |= _assisted(assist)
+    if args.seeds > 1:
+        context["seeds"] = spread(runs)
+        print(format_spread(context["seeds"], args.seeds))
+    return report(args, runs[0], context)
 
 
 def _assisted(assist: AssistUse | None) -> dict[str, Any]:

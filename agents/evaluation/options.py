@@ -24,6 +24,9 @@ class _FollowArgs:
     """Threads of physics and networks."""
     seed: int = 0
     """Seed of the embedded motions."""
+    seeds: int = 1
+    """Repeat with this many seeds of device noise, terrain or the random agent; reports mean and
+    standard deviation. The clips stay the same."""
 
 
 @dataclass(frozen=True)

@@ -67,6 +67,7 @@ def roll_out(
     shown: Sequence[Clip] | None = None,
     assist: AssistUse | None = None,
     begin_at: Mapping[str, Clip] | None = None,
+    seed: int = 0,
 ) -> list[Rollout]:
     """Run an agent on clips, in as few batches as memory allows.
 
@@ -78,6 +79,7 @@ def roll_out(
         shown: clips that the agent observes instead of ``clips``, see ``BatchSim``.
         assist: applies an assisting force; None for physics without one.
         begin_at: estimates in which episodes begin, see ``BatchSim``.
+        seed: of the device noise and of places on a terrain.
 
     Returns:
         One rollout per clip, in the order of ``clips``.
@@ -92,7 +94,7 @@ def roll_out(
         part = order[first : first + BATCH_CLIPS]
         batch = [clips[i] for i in part]
         seen = None if shown is None else [shown[i] for i in part]
-        rolled = _roll_out_batch(agent, batch, config, threads, seen, assist, begin_at)
+        rolled = _roll_out_batch(agent, batch, config, threads, seen, assist, begin_at, seed)
         rollouts.update(zip(part, rolled, strict=True))
     return [rollouts[i] for i in range(len(clips))]
 
@@ -158,8 +160,9 @@ def _roll_out_batch(
     shown: list[Clip] | None,
     assist: AssistUse | None,
     begin_at: Mapping[str, Clip] | None,
+    seed: int,
 ) -> list[Rollout]:
-    sim = evaluation_sim(clips, config, threads, shown=shown, begin_at=begin_at)
+    sim = evaluation_sim(clips, config, threads, seed, shown, begin_at)
     try:
         agent.bind(sim)
         recorder = Recorder(sim, max(len(clip) for clip in clips))
