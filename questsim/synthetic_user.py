@@ -21,6 +21,8 @@ from questsim.sensors import SENSOR_SETS, device_poses
 from questsim.skeleton import LINKS
 
 STILL_S, GLIDE_S = 4.0, 1.2
+PALMS_S, PALMS_HZ = 3.0, 0.7
+"""Duration of the calibration's second part, and how often the palms turn in it."""
 EASED_FRAMES = 18
 """A clip's first and last half second take a second each: users do not start at full speed."""
 EXAMPLE_CLIPS = (
@@ -45,6 +47,7 @@ class SyntheticUser:
         arms_ahead_deg: angle of the hanging arms to the front.
         mounts: by device, its reported pose relative to its pose on the avatar: offset ``(3,)`` in
             metres and rotation vector ``(3,)``.
+        palms_deg: how far the user then turns the palms to each side, for ``PALMS_S``; 0 for not.
         noise_m, noise_rad: standard deviation of white noise on every coordinate.
         seed: of noise, sway, jitter and losses.
     """
@@ -55,6 +58,7 @@ class SyntheticUser:
     arms_deg: tuple[float, float] = (8.0, 8.0)
     arms_ahead_deg: tuple[float, float] = (0.0, 0.0)
     mounts: Mapping[str, tuple[Sequence[float], Sequence[float]]] = field(default_factory=dict)
+    palms_deg: float = 0.0
     noise_m: float = 0.001
     noise_rad: float = 0.003
     seed: int = 0
@@ -152,27 +156,43 @@ def placed(clip: Clip, heading_rad: float, spot: np.ndarray) -> Clip:
 
 
 def _calibration(user: SyntheticUser, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Device poses ``(T, D, 3)``, ``(T, D, 4)`` of the user standing still."""
+    """Device poses ``(T, D, 3)``, ``(T, D, 4)`` of the user standing still, then turning palms."""
+    at, turned = _standing_devices(user, names, np.zeros(1))
+    time = np.arange(round(STILL_S * FPS)) / FPS
+    at, turned = (np.tile(x, (len(time), 1, 1)) for x in (at, turned))
+    if user.palms_deg:
+        after = np.arange(round(PALMS_S * FPS)) / FPS
+        swing = np.radians(user.palms_deg) * np.sin(2.0 * np.pi * PALMS_HZ * after)
+        palms = _standing_devices(user, names, swing)
+        at, turned = np.concatenate([at, palms[0]]), np.concatenate([turned, palms[1]])
+        time = np.arange(len(at)) / FPS
+    rng = np.random.default_rng([user.seed, 1])
+    sway = np.zeros((len(time), 2))
+    for hertz in (0.23, 0.41):
+        phase = rng.uniform(0.0, 2.0 * np.pi, 2)
+        sway += SWAY_M / 2.0 * np.sin(2.0 * np.pi * hertz * time[:, None] + phase)
+    # The whole body leans about the ankles: lower devices move less.
+    at[..., :2] += sway[:, None] * (at[..., 2:] / user.height_m)
+    return at, turned
+
+
+def _standing_devices(
+    user: SyntheticUser, names: Sequence[str], palms_rad: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Device poses ``(T, D, 3)``, ``(T, D, 4)`` of a user with palms turned by ``(T,)`` angles."""
     clip = standing_clip(user.height_m)
-    links, quats = clip.link_position[0].copy(), clip.link_quat[0].copy()
+    links = clip.link_position[0].copy()
+    twisted = np.tile(clip.link_quat[0], (len(palms_rad), 1, 1))
     for index, side in enumerate(("left", "right")):
         sign = 1.0 if side == "left" else -1.0
         angles = [sign * user.arms_deg[index], -user.arms_ahead_deg[index]]
         turn = rot.as_quat(Rotation.from_euler("xy", angles, degrees=True))
         hand, shoulder = LINKS.index(f"{side}_hand"), LINKS.index(f"{side}_upper_arm")
         links[hand] = links[shoulder] + rot.quat_rotate(turn, links[hand] - links[shoulder])
-        quats[hand] = turn
-    at, turned = device_poses(links, quats, names, user.height_m)
-    time = np.arange(round(STILL_S * FPS)) / FPS
-    rng = np.random.default_rng([user.seed, 1])
-    sway = np.zeros((len(time), 2))
-    for hertz in (0.23, 0.41):
-        phase = rng.uniform(0.0, 2.0 * np.pi, 2)
-        sway += SWAY_M / 2.0 * np.sin(2.0 * np.pi * hertz * time[:, None] + phase)
-    position = np.tile(at, (len(time), 1, 1))
-    # The whole body leans about the ankles: lower devices move less.
-    position[..., :2] += sway[:, None] * (at[:, 2] / user.height_m)[:, None]
-    return position, np.tile(turned, (len(time), 1, 1))
+        along = (links[shoulder] - links[hand]) / np.linalg.norm(links[shoulder] - links[hand])
+        twist = rot.as_quat(Rotation.from_rotvec(sign * palms_rad[:, None] * along))
+        twisted[:, hand] = rot.quat_multiply(twist, turn)
+    return device_poses(np.tile(links, (len(palms_rad), 1, 1)), twisted, names, user.height_m)
 
 
 def _eased(position: np.ndarray, quat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,15 +10,18 @@ from pathlib import Path
 import aiohttp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from agents.follower.bridge import IDENTITY
 from agents.headset.messages import MAX_BYTES, MAX_PER_SECOND, Allowance, frame_of, read_message
 from agents.headset.server import PAGE, LiveServer
-from agents.headset.session import CALIBRATING, FOLLOWING, LiveSession
+from agents.headset.session import CALIBRATING, CALIBRATION_S, FOLLOWING, LiveSession
 from agents.headset.tls import known_host, server_context
 from questsim.cli import main
-from questsim.devices import DeviceFrame
+from questsim.devices import DeviceFrame, DevicePose
 from questsim.errors import InputError
 from questsim.recordings import Recording, read_recording
+from questsim.synthetic_user import STILL_S, SyntheticUser, stream
 
 UPRIGHT = [0.0, 1.6, 0.0, 0.0, 0.0, 0.0, 1.0]
 
@@ -265,10 +268,10 @@ class PoseOfHead:
     latency_s, assist_n, names = 0.0, 100.0, ("headset",)
     calibration = None
 
-    def calibrate(self, frames, *, height_m, pose):
+    def calibrate(self, frames, *, height_m, pose, palms):
         from agents.follower.calibration import calibrate
 
-        self.calibration = calibrate(frames, height_m=height_m, pose=pose)
+        self.calibration = calibrate(frames, height_m=height_m, pose=pose, palms=palms)
         return self.calibration
 
 
@@ -305,10 +308,29 @@ def test_user_who_moves_is_asked_to_stand_still_again():
     assert session.state == CALIBRATING
 
 
+def test_session_with_palms_locates_the_controllers_after_six_seconds():
+    mount = (0.02, -0.01, 0.015)
+    mounts = {"left_controller": (mount, (0.2, 0.0, 0.0))}
+    frames, _ = stream(SyntheticUser(1.8, mounts=mounts, palms_deg=45.0), [])  # type: ignore
+    frames = [frame for frame in frames if frame.time_s >= STILL_S - CALIBRATION_S]
+    follower, said = PoseOfHead(), []
+    with LiveSession(follower, said.append, palms=True) as session:  # type: ignore[arg-type]
+        session.begin()
+        for frame in frames:
+            if session.state != FOLLOWING:
+                session.push(frame)
+                time.sleep(0.001)
+    assert any(state.get("text", "").startswith("let your arms hang and turn") for state in said)
+    found = follower.calibration.mounts["left_controller"].apply(DevicePose(np.zeros(3), IDENTITY))
+    true = -Rotation.from_rotvec([0.2, 0.0, 0.0]).inv().apply(mount)
+    assert np.linalg.norm(found.position - true) < 0.01
+
+
 @pytest.mark.parametrize(
     "words, fault",
     [
         (["--pose", "sitting"], "--pose"),
+        (["--palms", "--calibration", "me.json"], "--palms"),
         (["--assist", "-1"], "--assist"),
         (["--replay", "synthetic", "--vmc-in", "39540"], "--vmc-in"),
         (["--host", "no.such.host.invalid"], "--host"),

@@ -7,7 +7,8 @@ them apart in an A-pose). The body is assumed to have the avatar's proportions:
   scales by the headset's height;
 - heading: perpendicular to the line between the controllers, or the headset's direction;
 - mount of each controller: the transform from its reported pose to the avatar's controller in the
-  same pose, see ``arms``.
+  same pose. One pose gives only the sum of arm and grip; palms that turn to and fro separate the
+  two, see ``palms``.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from agents.follower.palms import ForearmAxis, forearm_axis
 from questsim import rotations as rot
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
 from questsim.devices import DeviceFrame, DevicePose
@@ -44,8 +46,10 @@ FLOOR_OFF_M = 0.15
 POSES: dict[str, float] = {"hanging": 8.0, "a-pose": 30.0}
 """Angle in degrees between arms and body, by the name of the pose."""
 ARM_STD_DEG: dict[str, float] = {"hanging": 2.0, "a-pose": 4.0}
-GRIP_STD_M, SEEN_STD_M = 0.02, 0.005
+GRIP_STD_M, SEEN_STD_M = 0.012, 0.005
 """Standard deviations: how users hold arm and controller, and tracking noise."""
+AXIS_STD_RAD, AXIS_STD_M = np.radians(2.0), 0.003
+"""Standard deviations of the axis of the forearm: direction, distance from the controller."""
 
 
 @dataclass(frozen=True)
@@ -146,6 +150,7 @@ def calibrate(
     height_m: float | None = None,
     floor_m: float | None = None,
     pose: str = "hanging",
+    palms: Iterable[DeviceFrame] = (),
 ) -> Calibration:
     """Calibrate on a user who stands upright and still.
 
@@ -155,9 +160,11 @@ def calibrate(
             height, the origin is assumed not to be on the floor, and the floor height is computed.
         floor_m: height of the floor in the devices' space, if it is not 0.
         pose: ``"hanging"`` arms, or ``"a-pose"``, each arm 30 degrees from the body.
+        palms: more frames, in which the user turns both palms to and fro; see ``palms``.
 
     Raises:
-        InputError: too few frames; or the user moves, looks aside or has no human stature.
+        InputError: too few frames; or the user moves, looks aside or has no human stature; or the
+            palms hardly turn.
     """
     if pose not in POSES:
         raise InputError(f"unknown pose {pose!r}", "calibration", f"choose from {', '.join(POSES)}")
@@ -196,8 +203,10 @@ def calibrate(
     turn = rot.yaw_quat(np.array(heading))
     spot = head.position - rot.quat_rotate(turn, upright[0] * np.array([1.0, 1.0, 0.0]))
     spot[2] = floor
+    palms = list(palms)
     for side, hand in hands.items():
-        mounts[f"{side}_controller"] = _hand_mount(side, hand, height, spot, turn, pose)
+        axis = forearm_axis(palms, f"{side}_controller")
+        mounts[f"{side}_controller"] = _hand_mount(side, hand, height, spot, turn, pose, axis)
     return Calibration(height, found.floor_m, heading, mounts)
 
 
@@ -247,13 +256,19 @@ def _heading(looked: float, hands: Mapping[str, DevicePose]) -> float:
 
 
 def _hand_mount(
-    side: str, hand: DevicePose, height: float, spot: np.ndarray, turn: np.ndarray, pose: str
+    side: str,
+    hand: DevicePose,
+    height: float,
+    spot: np.ndarray,
+    turn: np.ndarray,
+    pose: str,
+    axis: ForearmAxis | None,
 ) -> Mount:
     """Mount of a controller, from its pose while the arm hangs straight.
 
     The exact arm angle and the grip are unknown. Both are estimated together with priors around
     the usual values: the pose's arm angle within ``ARM_STD_DEG``, the controller in the fist
-    within ``GRIP_STD_M``.
+    within ``GRIP_STD_M``. The forearm's axis, if known, is the line from the shoulder.
     """
     standing = standing_clip(height)
     links, quats = standing.link_position[0], standing.link_quat[0]
@@ -261,6 +276,8 @@ def _hand_mount(
     carried, _ = device_poses(links, quats, [name], height)
     shoulder = links[LINKS.index(f"{side}_upper_arm")]
     reach = carried[0] - shoulder
+    along = shoulder - links[LINKS.index(f"{side}_hand")]
+    along /= np.linalg.norm(along)
     origin = spot + rot.quat_rotate(turn, shoulder)
     sign = 1.0 if side == "left" else -1.0
     nominal = np.radians(POSES[pose])
@@ -270,14 +287,19 @@ def _hand_mount(
         return rot.quat_multiply(turn, rot.as_quat(about))
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        place = origin + rot.quat_rotate(arm(x[:2]), reach + x[2:])
-        return np.concatenate(
-            [
-                (place - hand.position) / SEEN_STD_M,
-                (x[:2] - [nominal, 0.0]) / np.radians(ARM_STD_DEG[pose]),
-                x[2:] / GRIP_STD_M,
-            ]
-        )
+        held = arm(x[:2])
+        place = origin + rot.quat_rotate(held, reach + x[2:])
+        rows = [
+            (place - hand.position) / SEEN_STD_M,
+            (x[:2] - [nominal, 0.0]) / np.radians(ARM_STD_DEG[pose]),
+            x[2:] / GRIP_STD_M,
+        ]
+        if axis is not None:
+            seen = rot.quat_multiply(rot.quat_conjugate(held), hand.quat)  # in the hand's axes
+            rows.append(np.cross(along, rot.quat_rotate(seen, axis.direction)) / AXIS_STD_RAD)
+            apart = reach + x[2:] - rot.quat_rotate(seen, axis.offset)
+            rows.append((apart - (apart @ along) * along) / AXIS_STD_M)
+        return np.concatenate(rows)
 
     x = least_squares(residuals, np.array([nominal, 0.0, 0.0, 0.0, 0.0])).x
     hand_quat = arm(x[:2])

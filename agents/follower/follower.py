@@ -88,13 +88,14 @@ class Follower:
         height_m: float | None = None,
         floor_m: float | None = None,
         pose: str = "hanging",
+        palms: Iterable[DeviceFrame] = (),
     ) -> Calibration:
         """Calibrate on a user who stands still and upright for about three seconds.
 
         See ``calibration.calibrate`` for the arguments and errors. The next ``step`` sets the
         avatar up again.
         """
-        calibration = calibrate(frames, height_m=height_m, floor_m=floor_m, pose=pose)
+        calibration = calibrate(frames, height_m=height_m, floor_m=floor_m, pose=pose, palms=palms)
         self.use(calibration)
         return calibration
 

@@ -42,6 +42,9 @@ class LiveArgs:
     """Stature of the user in metres; measured by default."""
     pose: str = "hanging"
     """The user's pose during the calibration: hanging or a-pose."""
+    palms: bool = False
+    """Calibrate for three more seconds, in which the user turns the palms: locates the controllers
+    in the hands to within 1 cm."""
     calibration: Path | None = None
     """File written by Calibration.save, used instead of measuring."""
     assist: float = ASSIST_N
@@ -121,6 +124,8 @@ def _check(args: LiveArgs) -> None:
         raise InputError(
             "the calibration already contains the height", "--height", "leave one of them out"
         )
+    if args.palms and args.calibration is not None:
+        raise InputError("does not go with --calibration", "--palms", "give one of them")
     if args.replay is not None and args.vmc_in is not None:
         raise InputError("does not go with --replay", "--vmc-in", "give one of them")
     check_address(args.host, args.port)
@@ -167,6 +172,7 @@ def _session_maker(
         publish,
         height_m=args.height,
         pose=args.pose,
+        palms=args.palms,
         calibration=calibration,
         heed_frame=heed_frame,
         heed_pose=heed_pose if senders else None,

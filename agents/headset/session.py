@@ -23,6 +23,8 @@ CALIBRATION_S = 3.0
 WAITING_FRAMES = 32
 """Largest number of frames waiting for the simulation; beyond it the oldest are dropped."""
 WAITING, CALIBRATING, FOLLOWING = "waiting", "calibrating", "following"
+STAND = "stand upright, look straight ahead, let your arms hang"
+TURN = "let your arms hang and turn both palms to the front and to the back"
 _KEPT_S = 1.0
 
 
@@ -34,6 +36,7 @@ class LiveSession:
         publish: called in the session's thread with a JSON-compatible state.
         height_m: the user's stature, if known.
         pose: the user's pose during the calibration.
+        palms: whether the user then turns the palms, which locates the controllers better.
         calibration: of the user; None to calibrate for three seconds.
         heed_frame, heed_pose: called with every received frame, e.g. to record it, and with every
             pose, e.g. to forward it.
@@ -50,6 +53,7 @@ class LiveSession:
         *,
         height_m: float | None = None,
         pose: str = "hanging",
+        palms: bool = False,
         calibration: Calibration | None = None,
         heed_frame: Callable[[DeviceFrame], None] | None = None,
         heed_pose: Callable[[AvatarPose], None] | None = None,
@@ -57,6 +61,7 @@ class LiveSession:
         self._follower, self._publish = follower, publish
         self._height_m, self._pose, self._given = height_m, pose, calibration
         self._heed_frame, self._heed_pose = heed_frame, heed_pose
+        self._palms = palms
         self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue(WAITING_FRAMES)
         self._assist_n = follower.assist_n
         self._seen: deque[DeviceFrame] = deque()
@@ -127,7 +132,7 @@ class LiveSession:
             self._follow("")
             return
         self.state = CALIBRATING
-        self._tell("stand upright, look straight ahead, let your arms hang")
+        self._tell(STAND)
 
     def _end(self) -> None:
         self.state = WAITING
@@ -147,13 +152,20 @@ class LiveSession:
             self._still.clear()
         self._still.append(frame)
         passed = frame.time_s - self._still[0].time_s
-        if passed < CALIBRATION_S:
-            left = int(np.ceil(CALIBRATION_S - passed))
-            self._tell(f"stand upright, look straight ahead, let your arms hang: {left} s")
+        whole = 2.0 * CALIBRATION_S if self._palms else CALIBRATION_S
+        if passed < whole:
+            still = passed < CALIBRATION_S
+            left = int(np.ceil((CALIBRATION_S if still else whole) - passed))
+            self._tell(f"{STAND if still else TURN}: {left} s")
             return
         frames, self._still = self._still, []
+        end = frames[0].time_s + CALIBRATION_S
+        still_frames = [f for f in frames if f.time_s <= end] if self._palms else frames
+        palms = [f for f in frames if f.time_s > end] if self._palms else []
         try:
-            known = self._follower.calibrate(frames, height_m=self._height_m, pose=self._pose)
+            known = self._follower.calibrate(
+                still_frames, height_m=self._height_m, pose=self._pose, palms=palms
+            )
         except InputError as error:
             self._tell(f"{error.what}; again" + (f": {error.fix}" if error.fix else ""))
             return
