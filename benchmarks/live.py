@@ -2,7 +2,7 @@
 
     python -m benchmarks.live                  # latency, and ten minutes at 90 Hz
     python -m benchmarks.live --minutes 1 --agent questsim-now
-    python -m benchmarks.live --motions bandai-namco-2:validation --clips 60
+    python -m benchmarks.live --motions bandai-namco-2:test --clips 48
 
 The frames come from a synthetic user at 90 Hz. 1 % are lost. Each arrives up to 20 ms late, so many
 arrive out of order and are dropped. Targets: half of the steps within 5 ms, 99 % within 20 ms, no

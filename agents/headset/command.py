@@ -44,7 +44,7 @@ class LiveArgs:
     """The user's pose during the calibration: hanging or a-pose."""
     palms: bool = False
     """Calibrate for three more seconds, in which the user turns the palms: locates the controllers
-    in the hands to within 1 cm."""
+    in the hands more precisely."""
     calibration: Path | None = None
     """File written by Calibration.save, used instead of measuring."""
     assist: float = ASSIST_N
