@@ -312,7 +312,7 @@ def test_session_with_palms_locates_the_controllers_after_six_seconds():
     mount = (0.02, -0.01, 0.015)
     mounts = {"left_controller": (mount, (0.2, 0.0, 0.0))}
     frames, _ = stream(SyntheticUser(1.8, mounts=mounts, palms_deg=45.0), [])  # type: ignore
-    frames = [frame for frame in frames if frame.time_s >= STILL_S - CALIBRATION_S]
+    frames = [frame for frame in frames if frame.time_s >= STILL_S - CALIBRATION_S - 0.2]
     follower, said = PoseOfHead(), []
     with LiveSession(follower, said.append, palms=True) as session:  # type: ignore[arg-type]
         session.begin()
