@@ -357,7 +357,7 @@ def test_a_calibration_comes_back_from_its_file(tmp_path):
         (lambda frames: frames[:10], "fewer than"),
         (lambda frames: [moved(f, [0.3 * f.time_s, 0, 0]) for f in frames], "moved by"),
         (lambda frames: [moved(f, [0, 0, -0.8]) for f in frames], "stature"),
-        (lambda frames: [swapped(f) for f in frames], "aside"),
+        (lambda frames: [swapped(f) for f in frames], "away from the arms"),
     ],
 )
 def test_a_user_who_cannot_be_measured_is_told_why(change, says):
