@@ -201,7 +201,7 @@ def test_lgsik_can_be_trained_by_hmdposers_loss_and_by_no_unknown_one():
     published = loss_of(task_of("hmdposer")[1])[1]
     assert {"sparse", "velocity"} < own.keys()
     assert other.keys() == published.keys() and "acceleration" in other
-    with pytest.raises(InputError, match="there is no loss 'l3'; lgsik or hmdposer"):
+    with pytest.raises(InputError, match="no loss 'l3'; lgsik or lgsik-lengths or hmdposer"):
         LgsikNet(LgsikSpec(loss="l3"))
 
 
@@ -477,5 +477,5 @@ def test_a_difference_is_told_where_both_have_the_figure():
     training = {"network": {"steps": 1200, "minutes": 3.0}}
     results = [Result(row.agent, "", (), {}, training, [row]) for row in (full, other)]
     lines = table(results, "sparseposer", "pooled").splitlines()
-    assert lines[2] == "| full | 2.00 | - | - | - | - | 10 | 1,200 |"
-    assert lines[3] == "| less | 3.50 (+1.50) | 4.00 | - | 1.00 | - | 5 | 1,200 |"
+    assert lines[2] == "| full | 2.00 | - | - | - | - | - | - | 10 | 1,200 |"
+    assert lines[3] == "| less | 3.50 (+1.50) | 4.00 | - | - | 1.00 | - | - | 5 | 1,200 |"
