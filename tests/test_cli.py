@@ -1,10 +1,10 @@
 """The command line as a user meets it: help, exit codes, and one clear line for bad input."""
 
-import os
 import subprocess
 import sys
 
 import pytest
+from command_line import questsim
 
 from questsim import __version__, cli
 from questsim.errors import InputError
@@ -98,13 +98,14 @@ sys.exit(guarded(lambda: [print("line") for _ in range(100000)]))
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
-def test_command_explains_its_options(name):
-    done = subprocess.run(
-        [sys.executable, "-m", "questsim.cli", *name.split(), "--help"],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | {"COLUMNS": "100"},
-    )
-    assert done.returncode == 0, done.stderr
-    assert f"questsim {name}" in done.stdout
+def test_command_explains_its_options(name, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    attempt = questsim(tmp_path, *name.split(), "--help")
+    assert attempt.code == 0, attempt.err
+    assert f"questsim {name}" in attempt.out
+
+
+def test_the_module_is_a_command_too():
+    words = [sys.executable, "-m", "questsim", "--version"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, f"questsim {__version__}\n")
