@@ -24,9 +24,6 @@ class _FollowArgs:
     """Threads of physics and networks."""
     seed: int = 0
     """Seed of the embedded motions."""
-    seeds: int = 1
-    """Repeat with this many seeds of device noise, terrain or the random agent; reports mean and
-    standard deviation. The clips stay the same."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +51,9 @@ class EvaluateArgs(_FollowArgs):
     noise: bool = False
     """Simulate real devices: noise of 5 mm and 1 degree, mounting errors up to 3 cm and 10 degrees,
     latency jitter up to 2 frames, dropouts of up to half a second every few seconds."""
+    seeds: int = 1
+    """Repeat with this many seeds of device noise, terrain or the random agent; reports mean and
+    standard deviation. The clips stay the same."""
     sensors: str | None = None
     """Sensor set of a kinematic system by name, e.g. H+2C or 6T; by default the set of its first
     comparison scenario."""
