@@ -39,6 +39,13 @@ def with_overrides(preset: Preset, assignments: Sequence[str]) -> Preset:
     return preset
 
 
+def value_at(preset: Any, path: str) -> Any:
+    """The value of a preset at a path of ``with_overrides``, which has checked it."""
+    for name in path.split("."):
+        preset = _children(preset)[name]
+    return preset
+
+
 def _value(text: str, path: str) -> Any:
     try:
         value = parse_yaml(text)

@@ -2,6 +2,7 @@
 
 A name is one of: a shipped policy or kinematic system, a kinematic system without weights, a
 baseline, or the user's own ``package.module:Class``. A path is a checkpoint, stage or run folder. A
+name ``hf:USER/REPO`` is an agent on the Hugging Face Hub, see ``agents.hub``. A
 kinematic system's name followed by ``PHYSICS`` adds the tracker on simulated physics. Weights are
 loaded by ``agents.loading`` and ``agents.kinematic.store``.
 """
@@ -18,6 +19,7 @@ from typing import Annotated, Any, Literal
 
 from typing_extensions import Doc
 
+from agents.hub import PREFIX, downloaded
 from questsim.errors import InputError
 from questsim.files import read_yaml
 
@@ -50,9 +52,10 @@ _POLICY_FOLDERS = (
 
 _FOLDER = "a run, stage or checkpoint folder"
 _OWN = "your own package.module:Class"
+_HUB = "hf:USER/REPO of the Hugging Face Hub"
 ANY_AGENT = (
     f"{_FOLDER}; the name of a shipped policy or kinematic system (see questsim agents); "
-    f"{ZERO} or {RANDOM}; {_OWN}; or a kinematic system followed by {PHYSICS}, "
+    f"{ZERO} or {RANDOM}; {_OWN}; {_HUB}; or a kinematic system followed by {PHYSICS}, "
     f"e.g. {DEFAULT_SYSTEM}{PHYSICS}"
 )
 """What ``resolve`` accepts, for help texts."""
@@ -60,7 +63,7 @@ AgentName = Annotated[str, Doc(f"Agent: {ANY_AGENT}.")]
 """Option of a command that takes every agent, with its help text."""
 TorqueAgentName = Annotated[
     str,
-    Doc(f"Agent: {_FOLDER}; the name of a shipped policy; {ZERO} or {RANDOM}; or {_OWN}."),
+    Doc(f"Agent: {_FOLDER}; the name of a shipped policy; {ZERO} or {RANDOM}; {_HUB}; or {_OWN}."),
 ]
 """Option of a command that takes agents that output torques, with its help text."""
 
@@ -119,19 +122,23 @@ def resolve(path_or_name: str | Path) -> Resolved:
     if _is_own(name):
         kind: Kind = "own" if hasattr(own_class(name), "act") else "system"
         return Resolved(name, kind, name)
-    for place in (Path(name), SHIPPED / name):
+    on_hub = name.startswith(PREFIX)
+    for place in (downloaded(name),) if on_hub else (Path(name), SHIPPED / name):
         folder = system_folder(place)
         if folder is not None:
             return Resolved(name, "system", name, folder, _card(folder / SYSTEM_CARD))
         folder = policy_folder(place)
         if folder is not None:
             return Resolved(name, "policy", name, folder, _card(folder / POLICY_CARD))
+    if on_hub:
+        raise InputError("holds no agent of questsim", name)
     raise InputError("is not an agent", name, f"name a run or checkpoint folder, or {_known()}")
 
 
 def _is_own(name: str) -> bool:
     """Whether a name has the form of a user's class, ``package.module:Class``."""
-    return re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", name) is not None
+    form = re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", name)
+    return form is not None and not name.startswith(PREFIX)
 
 
 def resolve_policy(path_or_name: str | Path) -> Resolved:
@@ -154,7 +161,7 @@ def resolve_system(path_or_name: str | Path) -> Resolved:
         InputError: no such agent, or it is of another kind.
     """
     name, found = str(path_or_name), None
-    with suppress(InputError) if not _is_own(name) else nullcontext():
+    with suppress(InputError) if not (_is_own(name) or name.startswith(PREFIX)) else nullcontext():
         found = resolve(name)
     if found is None or found.kind != "system":
         fix = f"name a system's folder or one of {', '.join(shipped_systems())}"

@@ -89,6 +89,10 @@ COMMANDS: dict[str, Command] = {
         "agents.commands.train", "", "TRAIN",
         "train an agent, or resume a training",
     ),
+    "sweep": Command(
+        "agents.sweep.command", "sweep", "SweepArgs",
+        "train several seeds and values of a preset, and compare them with intervals",
+    ),
     "evaluate": Command(
         "agents.commands.evaluate", "", "EVALUATE",
         "evaluate an agent on clips",
@@ -120,6 +124,10 @@ COMMANDS: dict[str, Command] = {
     "ship": Command(
         "agents.shipping.ship", "ship", "ShipArgs",
         "copy a trained policy to the shipped ones, with a card",
+    ),
+    "publish": Command(
+        "agents.shipping.publish", "publish", "PublishArgs",
+        "upload an agent with card and licence to the Hugging Face Hub",
     ),
 }  # fmt: skip
 

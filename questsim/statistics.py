@@ -6,6 +6,7 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -16,6 +17,8 @@ LEVEL = 0.95
 RESAMPLES = 5000
 FEWEST = 11
 """An interval of fewer clips says nothing that the clips do not."""
+FEWEST_SEEDS = 3
+"""Fewest seeds that get an interval."""
 PAIRED = ("mpjpe_cm", "mpjre_deg", "root_cm", "sip_deg", "jitter_km_s3", "mhpe_cm")
 """Figures that two evaluations are compared by, beside success."""
 
@@ -58,6 +61,75 @@ def interval(
         method="percentile",
         rng=np.random.default_rng(seed),
         batch=500,
+    ).confidence_interval
+    return float(found.low), float(found.high)
+
+
+@dataclass(frozen=True)
+class OverSeeds:
+    """The aggregate of one figure over the seeds of a training.
+
+    Attributes:
+        mean: interquartile mean: of the middle half of the seeds.
+        interval: its 95 % interval, or None for fewer than 3 seeds.
+    """
+
+    mean: float
+    interval: tuple[float, float] | None
+
+
+def over_seeds(values: Sequence[float] | np.ndarray, seed: int = 0) -> OverSeeds:
+    """Interquartile mean with a bootstrap interval (Agarwal et al. 2021, section 4.3).
+
+    Args:
+        values: ``(S,)``, one a seed.
+        seed: of the bootstrap.
+    """
+    value = np.asarray(values, float)
+    ends = None
+    if len(value) >= FEWEST_SEEDS:
+        ends = _bootstrap((value,), _interquartile_mean, seed)
+    return OverSeeds(float(_interquartile_mean(value)), ends)
+
+
+def probability_of_improvement(
+    before: Sequence[float] | np.ndarray, after: Sequence[float] | np.ndarray, seed: int = 0
+) -> OverSeeds:
+    """Probability that a seed of ``after`` is better than one of ``before``; ties count half.
+
+    This is the Mann-Whitney U statistic over the number of pairs, with a bootstrap interval
+    (Agarwal et al. 2021, section 4.3).
+
+    Args:
+        before, after: ``(S,)`` and ``(T,)``, larger is better.
+        seed: of the bootstrap.
+    """
+    x, y = np.asarray(before, float), np.asarray(after, float)
+    ends = None
+    if min(len(x), len(y)) >= FEWEST_SEEDS:
+        ends = _bootstrap((x, y), _share_better, seed)
+    return OverSeeds(float(_share_better(x, y)), ends)
+
+
+def _interquartile_mean(values: np.ndarray, axis: int = -1) -> np.ndarray:
+    return stats.trim_mean(values, 0.25, axis=axis)
+
+
+def _share_better(x: np.ndarray, y: np.ndarray, axis: int = -1) -> np.ndarray:
+    assert axis == -1
+    one, other = x[..., :, None], y[..., None, :]
+    return ((other > one) + 0.5 * (other == one)).mean(axis=(-2, -1))
+
+
+def _bootstrap(samples: tuple[np.ndarray, ...], of: Any, seed: int) -> tuple[float, float]:
+    found = stats.bootstrap(
+        samples,
+        of,
+        n_resamples=RESAMPLES,
+        vectorized=True,
+        confidence_level=LEVEL,
+        method="percentile",
+        rng=np.random.default_rng(seed),
     ).confidence_interval
     return float(found.low), float(found.high)
 

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 from dataclasses import replace
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from learners import QUICK, SMALL, nothing
 
+from agents.run_folder import versions
 from agents.training.cluster import ray_cluster
 from agents.training.make_learner import make_ppo
 from agents.training.presets import StageConfig
@@ -46,9 +50,14 @@ def cluster():
         yield ray
 
 
-def trained(env, iterations: int = 3, after=lambda done: None) -> dict[str, np.ndarray]:
+def trained(
+    env, iterations: int = 3, after=lambda done: None, other_clips=None
+) -> dict[str, np.ndarray]:
     ppo = make_ppo(CONFIG, CONFIG.learning, env, 3)  # type: ignore[arg-type]
     for done in range(iterations):
+        if done == 1 and other_clips is not None:  # as --vary does
+            env.change_clips(other_clips, 7)
+            ppo.begin_anew()
         ppo.iterate(nothing, 0.0)
         after(done)
     return weights_of(ppo.policy)
@@ -83,17 +92,22 @@ def test_the_sampler_of_a_worker_knows_the_falls_of_all(batch):
     assert worker._sampler["clip_failure"][1] == sampler.clip_failure[1] > 0.5
 
 
-def test_one_worker_gives_the_bits_of_none(batch, cluster):
+def test_one_worker_gives_the_bits_of_none_also_with_new_clips_and_after_its_death(batch, cluster):
     from agents.training.cluster import ActorPool
 
-    expected = trained(batch.make())
+    others = load_motions("synthetic:stand+wave")[3:5]  # fewer clips than before
+    expected = trained(batch.make(), other_clips=others)
     pool = ActorPool(batch, 1)
-    assert same(trained(pool), expected)
+
+    def kill(done: int) -> None:  # the third rollout is played by another worker
+        if done == 1:
+            os.kill(cluster.get(pool._actors[0].call.remote("pid")), signal.SIGKILL)
+
+    assert same(trained(pool, other_clips=others, after=kill), expected)
     pool.close()
 
 
-@pytest.mark.parametrize("victim", [0, 1])
-def test_a_killed_worker_is_replaced_and_plays_the_same_again(batch, cluster, victim):
+def test_a_killed_worker_is_replaced_and_plays_the_same_again(batch, cluster):
     from agents.training.cluster import ActorPool
 
     pool = ActorPool(batch, 2)
@@ -103,10 +117,28 @@ def test_a_killed_worker_is_replaced_and_plays_the_same_again(batch, cluster, vi
 
     def kill(done: int) -> None:
         if done == 1:
-            os.kill(cluster.get(pool._actors[victim].call.remote("pid")), signal.SIGKILL)
+            os.kill(cluster.get(pool._actors[1].call.remote("pid")), signal.SIGKILL)
 
     assert same(trained(pool, after=kill), expected)
     pool.close()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed")
+def test_a_cluster_of_two_nodes_trains_the_same_when_it_loses_one(tmp_path):
+    script = Path(__file__).with_name("two_nodes.py")
+    root = str(script.parents[1])
+    done = subprocess.run(
+        [sys.executable, str(script), str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=600,
+        env={k: v for k, v in os.environ.items() if not k.startswith("RAY_")}
+        | {"PYTHONPATH": root},
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    lines = [line for line in done.stdout.splitlines() if line]
+    assert lines == ["nodes 2", "used 2", "lost", "same"]
 
 
 def test_a_cluster_of_one_machine_stays_on_loopback(cluster):
@@ -141,6 +173,33 @@ def test_train_py_trains_with_workers_and_goes_on_with_others(tmp_path, cluster,
     assert "anew" not in capsys.readouterr().out
     assert main([*line.split(), "--steps", "96", "--resume"]) == 0
     assert "another number of workers: episodes begin anew" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("line", ["train --preset smoke --workers 1", "sweep --preset smoke"])
+def test_a_cluster_that_does_not_answer_is_refused(tmp_path, monkeypatch, capsys, line):
+    ray = pytest.importorskip("ray", reason="Ray is not installed")
+    monkeypatch.setattr(ray, "is_initialized", lambda: False)
+
+    def unreachable(**_: object) -> None:
+        raise ConnectionError("could not connect\nmore lines")
+
+    monkeypatch.setattr(ray, "init", unreachable)
+    assert main([*line.split(), "--ray", "127.0.0.1:1", "--out", str(tmp_path / "out")]) == 2
+    assert "--ray 127.0.0.1:1: no Ray cluster answers there" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_ray_that_is_not_installed_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(InputError, match=r"needs Ray.*questsim\[cluster\]"), ray_cluster(None, 1):
+        pass
+
+
+def test_a_worker_with_other_versions_is_refused():
+    from agents.training.cluster import ActorPool
+
+    with pytest.raises(InputError, match=r"worker 1: has mujoco 1\.0, the learner has"):
+        ActorPool._check_versions([versions(), versions() | {"mujoco": "1.0"}])
 
 
 def test_a_cluster_without_workers_is_refused(tmp_path, capsys):

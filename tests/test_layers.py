@@ -16,8 +16,9 @@ FORBIDDEN = {
 }
 ALLOWED = {ROOT / "questsim" / "cli.py"}
 ORDER = (
-    "precision", "overrides", "licence", "run_folder", "resolve", "agent", "policy", "loading",
-    "evaluation", "training", "kinematic", "comparison", "shipping", "live",
+    "precision", "overrides", "licence", "run_folder", "hub", "resolve",
+    "agent", "policy", "loading",
+    "evaluation", "training", "sweep", "kinematic", "comparison", "shipping", "live",
     "follower", "headset", "commands",
 )  # fmt: skip
 """Folders and modules of ``agents``: each imports only those before it."""

@@ -15,7 +15,8 @@ from torch import nn
 
 from agents.kinematic.learning import Learning, Task, rate_at
 from agents.policy.checkpoint import load_resume
-from agents.training.monitor import Display, training_logger
+from agents.training.loggers import LogName, training_logger
+from agents.training.monitor import Display
 from agents.training.stage import Budget, Stopper
 from questsim.errors import InputError
 
@@ -36,6 +37,7 @@ class Fit:
         save: writes a checkpoint folder with the training record and the state for resuming.
         record: saved in the checkpoint in addition to steps and figures.
         seed: seed of all random numbers.
+        log: where curves go; see ``training_logger``.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Fit:
     save: Callable[[Path, dict[str, Any], dict[str, Any] | None], None]
     record: dict[str, Any]
     seed: int
+    log: LogName = "tensorboard"
     steps: int = 0
     best_cm: float = math.inf
     history: list[dict[str, float]] = field(default_factory=list)
@@ -75,7 +78,7 @@ class Fit:
         budget = self.budget
         if budget.progress(self.steps) >= 1 and self._is_evaluated():
             return
-        logger = training_logger(self.folder / "tensorboard")
+        logger = training_logger(self.folder / "tensorboard", self.log, self.record)
         if not self.history:
             self._evaluate(logger, display)
         began, count = time.perf_counter(), 0

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from agents.training.loggers import LogName
+
 
 @dataclass(frozen=True)
 class TrainSystemArgs:
@@ -29,6 +31,9 @@ class TrainSystemArgs:
     """A system to train further, by folder or shipped name; its family and sizes must match."""
     threads: int = 2
     """Threads for the networks."""
+    log: LogName = "tensorboard"
+    """Where curves go, beside a CSV file: tensorboard, Weights & Biases, trackio, or csv for
+    nowhere else."""
     seed: int = 0
     """Seed of all random numbers."""
     set: tuple[str, ...] = ()

@@ -34,12 +34,13 @@ from agents.run_folder import (
     refuse_existing,
     start_run,
 )
+from agents.training.loggers import check_logger
 from agents.training.monitor import Display
 from agents.training.stage import Budget, Stopper
 from questsim.errors import INTERRUPTED, InputError, at_least
 from questsim.motion.motion import Motion
 
-MAY_DIFFER_ON_RESUME = {"motions", "minutes", "steps", "resume", "threads", "out", "set"}
+MAY_DIFFER_ON_RESUME = {"motions", "minutes", "steps", "resume", "threads", "out", "set", "log"}
 
 
 def train_system(args: TrainSystemArgs) -> int:
@@ -51,6 +52,7 @@ def train_system(args: TrainSystemArgs) -> int:
     from questsim.motion.spec import load_recordings
 
     args = replace(args, start=from_anywhere(args.start))
+    check_logger(args.log)
     at_least(1, threads=args.threads, steps=args.steps)
     at_least(0, minutes=args.minutes, seed=args.seed)
     if args.agent not in AGENTS:
@@ -164,6 +166,7 @@ def _fit(
         save=save,
         record=record | {"trained": trained},
         seed=seed,
+        log=args.log,
     )
     if args.resume and (fit.folder / "last" / CARD_FILE).exists():
         fit.resume()

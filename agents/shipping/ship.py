@@ -53,6 +53,17 @@ def ship(args: ShipArgs) -> int:
     """Copy weights and card, replacing older ones of that name; returns the exit code.
 
     Raises:
+        InputError: see ``pack``.
+    """
+    size, licence = pack(args)
+    print(f"written to {args.into / args.name}: {size / 1e6:.1f} MB, {licence}")
+    return 0
+
+
+def pack(args: ShipArgs) -> tuple[int, str]:
+    """Write the folder ``args.into / args.name``; size of the weights in bytes, and licence.
+
+    Raises:
         InputError: there are no weights, their data or licence is unknown, they are too large, or
             a report belongs to other weights.
     """
@@ -63,7 +74,7 @@ def ship(args: ShipArgs) -> int:
     return (_ship_policy if found.kind == "policy" else _ship_system)(args, found.folder)
 
 
-def _ship_policy(args: ShipArgs, source: Path) -> int:
+def _ship_policy(args: ShipArgs, source: Path) -> tuple[int, str]:
     agent = load_policy(source)
     size = _checked_size(source / WEIGHTS_FILE)
     training = agent.card["training"]
@@ -73,11 +84,10 @@ def _ship_policy(args: ShipArgs, source: Path) -> int:
     licence = _checked_licence(agent.card["training"], source)
     card = model_card(args.name, agent, size, metrics)
     _write(args, source, (WEIGHTS_FILE, CRITIC_FILE), (CARD_FILE, agent.card), card)
-    print(f"written to {args.into / args.name}: {size / 1e6:.1f} MB, {licence}")
-    return 0
+    return size, licence
 
 
-def _ship_system(args: ShipArgs, source: Path) -> int:
+def _ship_system(args: ShipArgs, source: Path) -> tuple[int, str]:
     description = read_system_card(source)
     size = _checked_size(source / SYSTEM_WEIGHTS)
     training = description["training"]
@@ -86,8 +96,7 @@ def _ship_system(args: ShipArgs, source: Path) -> int:
     licence = _checked_licence(description["training"], source)
     card = system_card(args.name, source, description["training"], size, figures)
     _write(args, source, (SYSTEM_WEIGHTS,), (SYSTEM_CARD, description), card)
-    print(f"written to {args.into / args.name}: {size / 1e6:.1f} MB, {licence}")
-    return 0
+    return size, licence
 
 
 def _checked_size(weights: Path) -> int:

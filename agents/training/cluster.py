@@ -8,7 +8,7 @@ bit for bit.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -34,6 +34,7 @@ from agents.training.workers import Workers
 from envs.avatar import avatar_of
 from envs.sb3 import QuestVecEnv
 from questsim.errors import InputError
+from questsim.motion.clip import Clip
 
 SEED_STEP = 1_000_003
 """Seed difference between workers; the first has the seed of a training without workers."""
@@ -73,8 +74,9 @@ class ActorPool(VecEnv):
             )
         self._ray = ray
         self._part = batch.num_envs // count
-        shared = ray.put(replace(batch, num_envs=self._part))
-        self._make = lambda k: _actor(ray, batch.threads).remote(shared, batch.seed + SEED_STEP * k)
+        self._batch = replace(batch, num_envs=self._part)
+        self._shared = ray.put(self._batch)
+        self._change: tuple[Any, int] | None = None
         self._actors: list[Any] = [self._make(k) for k in range(count)]
         self._states: list[dict[str, Any] | None] = [None] * count
         self._ready: list[tuple[str, tuple[Any, ...]]] = []
@@ -95,6 +97,10 @@ class ActorPool(VecEnv):
             gym.spaces.Box(-np.inf, np.inf, (about[0]["size"],), np.float32),
             gym.spaces.Box(-1.0, 1.0, (len(self.avatar.dofs),), np.float32),
         )
+
+    def _make(self, k: int) -> Any:
+        actor = _actor(self._ray, self._batch.threads)
+        return actor.remote(self._shared, self._batch.seed + SEED_STEP * k)
 
     @property
     def count(self) -> int:
@@ -136,12 +142,28 @@ class ActorPool(VecEnv):
         raise InputError(f"died {ATTEMPTS} times in one rollout", f"worker {k}", fix)
 
     def _replace(self, k: int) -> None:
-        """Replace a dead worker by a new one in its last known state."""
+        """Replace a dead or unreachable worker by a new one in its last known state."""
+        self._ray.kill(self._actors[k])  # one that is only unreachable would keep its cores
         actor = self._actors[k] = self._make(k)
         for method, args in self._ready:
             actor.call.remote(method, *args)
         if self._states[k] is not None:
             actor.call.remote("set_state", self._states[k])
+        if self._change is not None:
+            self._send_change(k)
+
+    def change_clips(self, clips: Sequence[Clip], seed: int) -> None:
+        """Replace the clips of all workers; the next rollout begins new episodes."""
+        self._change = self._ray.put(list(clips)), seed
+        self._batch = replace(self._batch, clips=clips)
+        self._episodes = []  # they are of the clips before
+        for k in range(self.count):
+            self._send_change(k)
+
+    def _send_change(self, k: int) -> None:
+        assert self._change is not None
+        clips, seed = self._change
+        self._actors[k].call.remote("change_clips", clips, seed + SEED_STEP * k)
 
     def get_ready(self, method: str, *args: Any) -> None:
         """Call a worker's ``learn_...`` on all workers and on every later replacement."""
@@ -160,6 +182,8 @@ class ActorPool(VecEnv):
             lambda actor: actor.call.remote("play", weights, episodes, steps, share)
         )
         self._states = [part.state for part in played]
+        if self._change is not None:  # from now on replaced workers begin with these clips
+            self._change, self._shared = None, self._ray.put(self._batch)
         self._episodes = [ended for part in played for ended in part.episodes]
         self.unstable_count = sum(part.unstable for part in played)
         self.bytes_a_rollout = sum(a.nbytes for part in played for a in part.arrays.values())
@@ -342,6 +366,8 @@ def ray_cluster(address: str | None, cores: int) -> Iterator[None]:
     if address is None:
         # Only this setting binds a Ray node to loopback, so that no other node can join it.
         os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
+        # Ray's default, 15, starves the workers beside other programs while the learner waits.
+        os.environ.setdefault("RAY_worker_niceness", "0")
     else:
         os.environ.setdefault("RAY_AUTH_MODE", "token")
     try:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from agents.policy.checkpoint import CARD_FILE, load_resume
 from agents.training.learner import Learner
-from envs import QuestVecEnv
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
 from questsim.motion.variation import long_enough, vary
@@ -70,8 +69,16 @@ def check_share(share: float, redraw: int | None, clips: Sequence[Clip]) -> None
         long_enough(clips)
 
 
+class WithClips(Protocol):
+    """A batch of avatars, or workers that share one."""
+
+    def change_clips(self, clips: Sequence[Clip], seed: int) -> None:
+        """Replace the clips; the next rollout begins new episodes."""
+        ...
+
+
 def redrawing(
-    fresh: FreshMotions, env: QuestVecEnv, learner: Learner, number: int, state: dict[str, Any]
+    fresh: FreshMotions, env: WithClips, learner: Learner, number: int, state: dict[str, Any]
 ) -> Callable[[int], None]:
     """A function to call with the steps before each iteration; replaces variations when due.
 

@@ -1,39 +1,40 @@
-"""Output of a running training: TensorBoard curves and a progress line."""
+"""Output of a running training: curves and a progress line."""
 
 from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
-from stable_baselines3.common.logger import Logger, make_output_format
 
 from agents.evaluation.follow import Followed
-
-
-def training_logger(folder: Path) -> Logger:
-    """Writes curves for TensorBoard and to ``progress-1.csv``; a resumed run starts ``-2``."""
-    part = len(list(folder.glob("progress-*.csv"))) + 1
-    kinds = ("csv", "tensorboard")
-    return Logger(str(folder), [make_output_format(k, str(folder), f"-{part}") for k in kinds])
+from agents.training.loggers import LogName, training_logger
 
 
 class Monitor:
-    """Accumulates statistics between log points and writes them for TensorBoard.
+    """Accumulates statistics between log points and writes them as curves.
 
     Args:
         env: the training environment; its ``reward_terms`` are read after each step, its
             ``unstable_count`` at each log point.
         folder: folder of TensorBoard's files and of ``progress-1.csv`` with the same curves.
+        log, config: see ``training_logger``.
     """
 
-    def __init__(self, env: Any, folder: Path) -> None:
+    def __init__(
+        self,
+        env: Any,
+        folder: Path,
+        log: LogName = "tensorboard",
+        config: Mapping[str, Any] | None = None,
+    ) -> None:
         self._env = env
-        self._logger = training_logger(folder)
+        self._logger = training_logger(folder, log, config)
         self._begin()
         self.reward = 0.0
 

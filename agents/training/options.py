@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from agents.training.loggers import LogName
 from envs.randomisation import Randomisation
 from envs.starts import Starts
 
@@ -83,6 +84,9 @@ class TrainArgs:
     """Ray workers that share the simulations (docs/scaling.md); 0 for none."""
     ray: str | None = None
     """Address of a Ray cluster for --workers, by default one of this machine alone."""
+    log: LogName = "tensorboard"
+    """Where curves go, beside a CSV file: tensorboard, Weights & Biases, trackio, or csv for
+    nowhere else."""
     seed: int = 0
     """Seed of all random numbers."""
     set: tuple[str, ...] = ()

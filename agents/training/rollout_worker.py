@@ -112,6 +112,12 @@ class RolloutWorker:
         """Process id of the worker."""
         return os.getpid()
 
+    def node(self) -> str:
+        """Id of the Ray node that the worker is on."""
+        import ray
+
+        return ray.get_runtime_context().get_node_id()
+
     def learn_policy(self, policy: TorquePolicy) -> None:
         """Prepare for rollouts of a policy."""
         self._policy = policy
@@ -182,6 +188,14 @@ class RolloutWorker:
             spaces = self.env.observation_space, self.env.action_space
             self._buffer = TensorRolloutBuffer(steps, *spaces, n_envs=self.env.num_envs)  # type: ignore[arg-type]
         return self._buffer
+
+    def change_clips(self, clips: Sequence[Clip], seed: int) -> None:
+        """Replace the clips; the next rollout begins new episodes."""
+        self.env.change_clips(clips, seed)
+        self.env.sim.sampler.log = []
+        self._sampler = self.env.sim.sampler.get_state()
+        if self._player is not None:
+            self._player.observation = None
 
     def get_state(self) -> dict[str, Any]:
         """State that the next rollouts depend on, besides weights and episodes."""

@@ -20,6 +20,7 @@ from agents.policy.checkpoint import load_resume, save_policy, unpack
 from agents.policy.policy_agent import PolicyAgent
 from agents.training.cluster import with_rates_of
 from agents.training.learner import Learner
+from agents.training.loggers import LogName
 from agents.training.monitor import Display, Monitor, evaluation_figures
 
 
@@ -99,6 +100,7 @@ class Stage:
         must_improve: whether only a policy better than the first one counts as best.
         before_iteration: called with the learner's steps; for schedules.
         beside: additional state saved with the learner's, for resuming.
+        log: where curves go; see ``training_logger``.
     """
 
     name: str
@@ -113,6 +115,7 @@ class Stage:
     must_improve: bool = False
     before_iteration: Callable[[int], None] | None = None
     beside: dict[str, Any] = field(default_factory=dict)
+    log: LogName = "tensorboard"
     best_score: float = -1.0
     history: list[dict[str, float]] = field(default_factory=list)
 
@@ -149,7 +152,7 @@ class Stage:
         learner, budget = self.learner, self.budget
         if budget.progress(learner.num_timesteps) >= 1 and self._is_evaluated():
             return
-        monitor = Monitor(self.env, self.folder / "tensorboard")
+        monitor = Monitor(self.env, self.folder / "tensorboard", self.log, self._config())
         if not self.history:
             self._evaluate(monitor, display)
         due = self._next_evaluation()
@@ -168,6 +171,9 @@ class Stage:
             self._evaluate(monitor, display)
         self._save_last()
         monitor.close()
+
+    def _config(self) -> dict[str, Any]:
+        return self.record | {"stage": self.name, "num_envs": self.env.num_envs}
 
     def _is_evaluated(self) -> bool:
         return bool(self.history) and self.history[-1]["steps"] == self.learner.num_timesteps

@@ -30,6 +30,7 @@ from agents.run_folder import (
 from agents.training.cluster import ActorPool, ray_cluster
 from agents.training.fresh_motions import REDRAW_STEPS, FreshMotions, check_share, redrawing
 from agents.training.learner import Learner
+from agents.training.loggers import check_logger
 from agents.training.make_learner import make_learner
 from agents.training.monitor import Display
 from agents.training.options import TrainArgs
@@ -42,7 +43,6 @@ from envs.config import EnvConfig
 from envs.objects import objects_named
 from envs.pushes import Pushes
 from envs.randomisation import Randomisation
-from envs.sb3 import QuestVecEnv
 from envs.starts import Starts
 from envs.terrain import terrain_named
 from questsim.bodies import read_body
@@ -61,6 +61,7 @@ MAY_DIFFER_ON_RESUME = {
     "threads",
     "workers",
     "ray",
+    "log",
     "out",
     "teacher",
     "set",
@@ -76,6 +77,7 @@ def train(args: TrainArgs) -> int:
     """
     args = replace(args, teacher=from_anywhere(args.teacher), start=from_anywhere(args.start))
     _refuse_unused(args)
+    check_logger(args.log)
     at_least(1, threads=args.threads, envs=args.envs, steps=args.steps, redraw=args.redraw)
     at_least(0, minutes=args.minutes, seed=args.seed)
     preset = with_overrides(PRESETS[args.preset], args.set)
@@ -142,10 +144,6 @@ def shipped_behind(start: Path | None, teacher: Path | None) -> dict[str, Any]:
 def _cluster(args: TrainArgs) -> AbstractContextManager[None]:
     """The Ray cluster of ``--workers``, if any."""
     at_least(0, workers=args.workers)
-    if args.workers and args.vary:
-        raise InputError(
-            "does not go with --workers", "--vary", "write a library by questsim motions vary"
-        )
     if args.workers:
         return ray_cluster(args.ray, args.workers * args.threads)
     if args.ray is not None:
@@ -285,8 +283,9 @@ def _run_stage(
             record={"preset": args.preset, "seed": args.seed, "threads": args.threads, **data},
             must_improve=name == "finetune",
             before_iteration=_schedule(config, learner),
+            log=args.log,
         )
-        if args.vary and isinstance(env, QuestVecEnv):
+        if args.vary:
             redraw = redrawing(fresh, env, learner, draw, stage.beside)
             stage.before_iteration = _both(stage.before_iteration, redraw)
         if args.resume and (stage.folder / "last" / CARD_FILE).exists():

@@ -1,0 +1,58 @@
+"""Train on a cluster of two nodes and lose one of them; run by ``test_cluster.py``.
+
+A process of its own: Ray reads its settings for several nodes only once.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+
+def main(folder: Path) -> None:
+    token = folder / "token"
+    token.write_text(secrets.token_hex(32))
+    os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(token)}
+    os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"}
+    import ray
+    from ray.cluster_utils import Cluster
+    from test_cluster import CONFIG, trained
+
+    from agents.training.cluster import ActorPool, ray_cluster
+    from agents.training.rollout_worker import BatchSpec
+    from envs.config import EnvConfig
+    from questsim.motion.spec import load_motions
+
+    node = {"num_cpus": 1, "include_dashboard": False}
+    cluster = Cluster(initialize_head=True, head_node_args=node)
+    second = cluster.add_node(num_cpus=1)
+    clips = load_motions("synthetic:stand+wave")[:3]
+    batch = BatchSpec(clips, EnvConfig(privileged=True, sampling="failure"), 4, seed=3)
+    assert CONFIG.privileged
+    with ray_cluster(cluster.address, 2):
+        print("nodes", sum(each["Alive"] for each in ray.nodes()), flush=True)
+        pool = ActorPool(batch, 2)
+        where = {str(ray.get(a.call.remote("node"))) for a in pool._actors}
+        print("used", len(where), flush=True)
+        expected = trained(pool)
+        pool.close()
+        pool = ActorPool(replace(batch), 2)
+
+        def lose(done: int) -> None:
+            if done == 1:
+                cluster.remove_node(second, allow_graceful=False)
+                cluster.add_node(num_cpus=1)
+                print("lost", flush=True)
+
+        found = trained(pool, after=lose)
+        same = all((found[name] == expected[name]).all() for name in expected)
+        print("same" if same else "different", flush=True)
+        pool.close()
+    cluster.shutdown()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
