@@ -18,6 +18,7 @@ import io
 import multiprocessing
 import resource
 import shutil
+import signal
 import sys
 import tempfile
 import time
@@ -34,10 +35,10 @@ from benchmarks.fuzz_mutations import damage
 
 LIMIT_S, LIMIT_BYTES = 5.0, 1 << 30
 LONGEST_LINE = 1000
-HUNG_S = 60.0
-"""A case without an end is stopped after so long by the clock: the machine may be shared."""
-GRACE_S = 300.0
-"""A process may take so long to import what a reader needs, before its first case."""
+HUNG_S = 20
+"""A case without an end is stopped after so much processor time: the machine may be shared."""
+ASLEEP_S = 900.0
+"""A process that sends nothing for so long by the clock waits for something that never comes."""
 
 
 @dataclass(frozen=True)
@@ -101,10 +102,11 @@ def _work(connection: Connection, seed: int) -> None:
         name, number = task
         reader = READERS[name]
         if name not in prepared:  # imports and compiled loops are not what is limited
+            resource.setrlimit(resource.RLIMIT_CPU, (resource.RLIM_INFINITY,) * 2)
             reader.prepare()
             prepared.add(name)
             _limit_memory()
-        connection.send("ready")
+        limit_cpu(HUNG_S)
         with tempfile.TemporaryDirectory(prefix="fuzz") as folder:
             connection.send(run_case(reader, seed, number, Path(folder)))
 
@@ -116,6 +118,13 @@ def _limit_memory() -> None:
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     limit = pages * resource.getpagesize() + LIMIT_BYTES
     resource.setrlimit(resource.RLIMIT_AS, (limit, resource.RLIM_INFINITY))
+
+
+def limit_cpu(seconds: int) -> None:
+    """End this process by SIGXCPU after so much more processor time."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    limit = int(used.ru_utime + used.ru_stime) + 1 + seconds
+    resource.setrlimit(resource.RLIMIT_CPU, (limit, resource.RLIM_INFINITY))
 
 
 class _Worker:
@@ -131,7 +140,7 @@ class _Worker:
         self.until = 0.0
 
     def give(self, task: tuple[str, int]) -> None:
-        self.task, self.until = task, time.monotonic() + GRACE_S
+        self.task, self.until = task, time.monotonic() + ASLEEP_S
         self.connection.send(task)
 
     def receive(self) -> Outcome | None:
@@ -139,16 +148,15 @@ class _Worker:
         assert self.task is not None
         try:
             if self.connection.poll():
-                got = self.connection.recv()
-                if isinstance(got, Outcome):
-                    return got
-                self.until = time.monotonic() + HUNG_S
+                return self.connection.recv()
         except EOFError:
             self.process.join()
+            if self.process.exitcode == -signal.SIGXCPU:
+                return Outcome(*self.task, "hung", f"more than {HUNG_S} s of processor time")
             return Outcome(*self.task, "killed", f"exit code {self.process.exitcode}")
         if time.monotonic() > self.until:
             self.process.kill()
-            return Outcome(*self.task, "hung", f"more than {HUNG_S:g} s")
+            return Outcome(*self.task, "hung", f"no answer in {ASLEEP_S:g} s")
         return None
 
 

@@ -238,7 +238,7 @@ BROKEN: dict[str, tuple[Callable[[str], str], str]] = {
         lambda t: _line(t, "CHANNELS 6", "CHANNELS 3 Zrotation Yrotation Xrotation"),
         "values, the channels|no position channels",
     ),
-    "brace": (lambda t: _line(t, "JOINT", ""), "a brace opens nothing"),
+    "brace": (lambda t: _line(t, "JOINT", ""), "unexpected {"),
     "giant": (lambda t: _line(t, "OFFSET", "OFFSET 1e308 0 0"), "no bone's length"),
     "rate as time": (lambda t: _line(t, "Frame Time:", "Frame Time: 30"), "0.0333 frames.*--fps"),
     "too fast": (lambda t: _line(t, "Frame Time:", "Frame Time: 5e-324"), "frames a second.*--fps"),

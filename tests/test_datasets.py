@@ -127,7 +127,7 @@ def test_a_download_that_fails_or_is_no_archive_says_so(tiny, tmp_path, server):
     with pytest.raises(InputError, match="download failed"):
         fetch("tiny")  # its public address is closed
     (tmp_path / "page.zip").write_text("<html>sorry</html>")
-    with pytest.raises(InputError, match="is no zip archive or is damaged"):
+    with pytest.raises(InputError, match="is damaged or not a zip archive"):
         fetch("tiny", f"{server}/page.zip")
     assert list((tmp_path / "cache" / "downloads").iterdir()) == []
     with pytest.raises(InputError, match="no such mirror file"):

@@ -2,6 +2,9 @@
 
 import gzip
 import json
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +16,20 @@ from questsim.errors import InputError
 from questsim.motion.reading import read_motion
 from questsim.recordings import read_recording
 
-QUICK = [name for name in READERS if name not in ("policy", "system")]
-"""Readers that do not wait for PyTorch."""
-
 
 def test_300_damaged_inputs_are_read_or_refused_in_one_line():
-    outcomes = fuzz(seed=0, count=300, names=QUICK, processes=1)
+    outcomes = fuzz(seed=0, count=300, names=list(READERS), processes=1)
     assert len(outcomes) == 300
     assert [outcome for outcome in outcomes if outcome.failed] == []
     # Both ends are reached: damage that does not matter, and damage that does.
     kinds = [outcome.kind for outcome in outcomes]
     assert min(kinds.count("ok"), kinds.count("refused")) > 30
+
+
+def test_a_case_without_an_end_is_stopped_by_its_own_processor_time():
+    code = "from benchmarks.fuzz import limit_cpu; limit_cpu(0)\nwhile True: pass"
+    done = subprocess.run([sys.executable, "-c", code], check=False)
+    assert done.returncode == -signal.SIGXCPU
 
 
 def test_a_seed_makes_the_same_cases_and_another_others(tmp_path):

@@ -94,7 +94,7 @@ def changed(path: Path, **changes) -> Path:
         ("clip_qpos", np.zeros((51, 39)), r"clip_qpos is float64 of shape \(51, 39\)"),
         ("clip_qpos", np.zeros((60, 40)), "clip first has rotations that are not unit"),
         ("clip_source_sha256", None, "lacks 'clip_source_sha256';"),
-        ("clip_source_sha256", np.array(["", "beef"]), "of second is no SHA-256"),
+        ("clip_source_sha256", np.array(["", "beef"]), "of second is not a SHA-256 hash"),
     ],
 )
 def test_a_library_that_does_not_fit_is_refused(key, value, reason, saved):

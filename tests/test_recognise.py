@@ -1,8 +1,11 @@
 """Files in the styles of many producers import without a mapping, joints where they truly are."""
 
+import itertools
 import re
 import subprocess
 import sys
+from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -69,6 +72,54 @@ def test_a_motion_that_begins_in_a_t_pose_and_moves_out_of_it_is_kept_whole(tmp_
     assert len(read_motion(path)[0]) == 40
 
 
+def without_sides(path: Path, style: str, *, mirror: str = "") -> None:
+    """Rename the joints of a file; ``mirror`` is the order of rotations of one to be mirrored."""
+    numbers, seen = itertools.count(1), Counter[str]()
+
+    def name(match: re.Match) -> str:
+        part = re.sub("Left|Right|mixamorig:|\\d", "", match[2])
+        seen[part] += 1
+        again = f".{seen[part] - 1:03d}" if seen[part] > 1 else ""
+        return f"{match[1]} " + (f"Bone{next(numbers):02d}" if style == "bone" else part + again)
+
+    text = re.sub(r"(ROOT|JOINT) (.*)", name, path.read_text())
+    if mirror:
+        head, rows = text.split("Frame Time")
+        head = re.sub(r"OFFSET (\S+)", lambda m: f"OFFSET {-float(m[1])}", head)
+        first, *lines = rows.splitlines()
+        signs = np.array([-1.0, 1, 1] + [1.0 if axis == "X" else -1.0 for axis in mirror])
+        table = np.array([[float(v) for v in line.split()] for line in lines])
+        table[:, :3] *= signs[:3]
+        table[:, 3:] *= np.tile(signs[3:], (table.shape[1] - 3) // 3)
+        lines = [" ".join(f"{v:.6f}" for v in row) for row in table]
+        text = head + "Frame Time" + "\n".join([first, *lines]) + "\n"
+    path.write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("rig", "style", "mirror"),
+    [("Mixamo", "bone", False), ("Mixamo", "blender", True), ("own axes, z up", "bone", False),
+     ("SMPL-X", "bone", False)],
+)  # fmt: skip
+def test_left_is_left_in_a_file_whose_names_do_not_say_it(rig, style, mirror, tmp_path):
+    path, made = tmp_path / "a.bvh", RIGS[rig]
+    truth = write_rig(path, made)
+    without_sides(path, style, mirror=made.order if mirror else "")
+    motion, report = read_motion(path)
+    distance, angle = compare(motion, truth.mirrored() if mirror else truth, made)
+    assert distance.max() < 0.005 and angle.max() < 12.0
+    assert "left is known from feet and knees and travel" in "".join(report.explanation)
+
+
+def test_split_bones_without_sides_are_refused(tmp_path):
+    write_rig(tmp_path / "a.bvh", RIGS["Rigify"])
+    without_sides(tmp_path / "a.bvh", "bone")
+    with pytest.raises(
+        InputError, match=r"do not say left and right.*split into several joints.*mapping"
+    ):
+        read_motion(tmp_path / "a.bvh")
+
+
 def test_missing_toes_are_put_in_front_of_the_ankles(tmp_path):
     # Without an End Site a foot of the legs' length, with one where it says.
     for name in ("Axis Neuron", "Biovision"):
@@ -127,10 +178,23 @@ def test_a_mapping_file_can_be_written_out_and_gives_the_same_motion(tmp_path, c
     np.testing.assert_allclose(mapped.rotations, plain.rotations, atol=1e-9)
 
 
+def test_an_import_says_where_the_soles_of_feet_that_are_never_still_come_from(tmp_path, capsys):
+    slides = standing(20, 0.95) + np.linspace([0, 0, 0], [0, 0, 2], 20)
+    path, rig = write_bvh(tmp_path / "a.bvh", SMPL_JOINTS, slides), tmp_path / "rig.toml"
+    command = ["motions", "import", str(path), "--out", str(tmp_path / "a.npz")]
+    assert main(command) == 0
+    assert "soles not measured, and no pitch is known for SMPL files" in capsys.readouterr().out
+    assert main(["motions", "mapping", str(path), "--out", str(rig)]) == 0
+    rig.write_text("foot_pitch = 0.1\n" + rig.read_text())
+    assert main([*command, "--mapping", str(rig)]) == 0
+    assert "soles pitched by 6 deg, as declared for rig files" in capsys.readouterr().out
+
+
 def test_a_mapping_file_of_what_is_not_recognised_lists_the_joints_to_fill_in(tmp_path, capsys):
-    joints = [(f"bone{i}", p, o) for i, (_, p, o) in enumerate(SMPL_JOINTS)]
+    # All joints in one plane: neither feet nor knees show the front.
+    joints = [(f"bone{i}", p, (*o[:2], 0.0)) for i, (_, p, o) in enumerate(SMPL_JOINTS)]
     path = write_bvh(tmp_path / "a.bvh", joints, standing(3, 0.95))
-    with pytest.raises(InputError, match="no human skeleton is recognised"):
+    with pytest.raises(InputError, match=r"no human skeleton is recognised.*front is not certain"):
         read_motion(path)
     rig = tmp_path / "rig.toml"
     assert main(["motions", "mapping", str(path), "--out", str(rig)]) == 0
@@ -142,7 +206,7 @@ def test_a_mapping_file_of_what_is_not_recognised_lists_the_joints_to_fill_in(tm
 def test_the_height_scales_a_file_of_unknown_units(tmp_path):
     joints = [(n, p, tuple(3 * v for v in o)) for n, p, o in SMPL_JOINTS]
     path = write_bvh(tmp_path / "b.bvh", joints, standing(3, 2.85))
-    with pytest.raises(InputError, match=r"a person in none of.*--height"):
+    with pytest.raises(InputError, match=r"not a person's height in any of.*--height"):
         read_motion(path)
     motion, report = read_motion(path, ReadOptions(height_m=1.8))
     assert report.stature_m == pytest.approx(1.8, abs=1e-3)

@@ -204,7 +204,7 @@ def _smpl_offsets(smpl_file: str | Path, arrays: dict[str, np.ndarray]) -> np.nd
         or directions.shape[:2] != (count, 3)
         or any(array.dtype.kind not in "iuf" for array in (regressor, vertices, directions))
     ):
-        raise InputError(f"arrays of shapes {shapes} are no SMPL model", path)
+        raise InputError(f"arrays of shapes {shapes} are not those of a SMPL model", path)
     for key, array in zip(SMPL_KEYS, (regressor, vertices, directions), strict=True):
         if not (abs(np.asarray(array, float)) <= MAX_LENGTH).all():
             raise InputError(f"{key} is not finite", path, AGAIN)

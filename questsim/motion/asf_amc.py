@@ -76,7 +76,7 @@ def skeleton_of(amc: Path) -> Path:
             break
     if found:
         names = ", ".join(p.name for p in found[:4])
-        raise InputError(f"which skeleton is its own of {names}?", amc, f"name one {amc.stem}.asf")
+        raise InputError(f"which of {names} is its skeleton?", amc, f"name one {amc.stem}.asf")
     raise InputError("its skeleton is not here", amc, "put the subject's .asf file next to it")
 
 
@@ -227,10 +227,12 @@ def _bones(lines: _Lines, path: Path) -> dict[str, _Bone]:
         elif key == "dof":
             bone.dofs = _dofs(words, where)
             if any(dof.startswith("T") for dof in bone.dofs):
-                raise InputError("a bone that shifts cannot be read", where, "export rigid bones")
+                raise InputError(
+                    "a bone with translation cannot be read", where, "export rigid bones"
+                )
         elif key == "end":
             if not bone.name or bone.name in bones or bone.name == "root":
-                raise InputError(f"bone {bone.name[:40]!r} has no name of its own", where, AGAIN)
+                raise InputError(f"bone {bone.name[:40]!r} lacks a unique name", where, AGAIN)
             bones[bone.name] = bone
     if not bones:
         raise InputError("has no bones", path, AGAIN)
@@ -248,7 +250,7 @@ def _hierarchy(lines: _Lines, bones: dict[str, _Bone], path: Path) -> dict[str, 
             if word not in bones:
                 raise InputError(f"there is no bone {word[:40]!r}", where, AGAIN)
         if words[0] != "root" and words[0] not in parents:
-            raise InputError(f"bone {words[0]!r} has no parent yet", where, AGAIN)
+            raise InputError(f"bone {words[0]!r} comes before its parent", where, AGAIN)
         for child in words[1:]:
             if child in parents or child == "root":
                 raise InputError(f"bone {child!r} has two parents", where, AGAIN)
@@ -309,7 +311,11 @@ def _read_amc(text: str, skeleton: Skeleton, path: Path) -> dict[str, np.ndarray
         if not frames:
             raise InputError("a frame's number expected", where, "give an AMC file")
         if name not in skeleton.bones:
-            raise InputError(f"the skeleton has no bone {name[:40]!r}", where, "is it its .asf?")
+            raise InputError(
+                f"the skeleton has no bone {name[:40]!r}",
+                where,
+                "check that it is the subject's .asf file",
+            )
         if name in frames[-1]:
             raise InputError(f"{name} comes twice in frame {len(frames)}", where, AGAIN)
         expected = moving.get(name, 0)

@@ -207,10 +207,10 @@ class _HierarchyReader:
         if name in header.names:
             raise self.refuse(f"joint {name[:40]!r} appears twice", "give joints other names")
         if (words[0] == "ROOT") == bool(header.names):
-            raise self.refuse("a BVH file has one ROOT", "keep one person a file")
+            raise self.refuse("a BVH file has exactly one ROOT", "keep one person in each file")
         parent = self.open[-1] if self.open else -1
         if words[0] == "JOINT" and (not self.open or parent == _SITE):
-            raise self.refuse(f"joint {name[:40]!r} is in no other joint")
+            raise self.refuse(f"joint {name[:40]!r} is not inside another joint")
         if len(header.names) >= MAX_JOINTS:
             raise self.refuse(f"more than {MAX_JOINTS} joints")
         self.pending, self.expected = len(header.names), "{"
@@ -221,12 +221,12 @@ class _HierarchyReader:
 
     def _end(self, _: list[str]) -> None:
         if not self.open or self.open[-1] == _SITE:
-            raise self.refuse("End Site is in no joint")
+            raise self.refuse("End Site is not inside a joint")
         self.pending, self.expected = _SITE, "{"
 
     def _opened(self, _: list[str]) -> None:
         if self.pending is None:
-            raise self.refuse("a brace opens nothing")
+            raise self.refuse("unexpected { (no joint's name before it)")
         self.open.append(self.pending)
         self.pending, self.expected = None, "OFFSET"
 
@@ -238,9 +238,9 @@ class _HierarchyReader:
     def _offset(self, words: list[str]) -> None:
         offset = _numbers(words[1:], 3, self.refuse)
         if abs(offset).max() > MAX_LENGTH:
-            raise self.refuse(f"OFFSET {' '.join(words[1:])[:60]} is no bone's length")
+            raise self.refuse(f"OFFSET {' '.join(words[1:])[:60]} is too large for a bone")
         if not self.open:
-            raise self.refuse("OFFSET is in no joint")
+            raise self.refuse("OFFSET is not inside a joint")
         joint = self.open[-1]
         if joint == _SITE:
             self.header.tips.setdefault(self.open[-2], offset)
@@ -250,15 +250,19 @@ class _HierarchyReader:
 
     def _channels(self, words: list[str]) -> None:
         if not self.open or self.open[-1] == _SITE:
-            raise self.refuse("CHANNELS are in no joint")
+            raise self.refuse("CHANNELS are not inside a joint")
         count, names = words[1:2], words[2:]
         if not count or not count[0].isdigit() or int(count[0]) > 6:
-            raise self.refuse(f"a joint with {' '.join(count)[:40] or 'no number of'} channels")
+            raise self.refuse(
+                f"CHANNELS needs a number of channels up to 6, not {' '.join(count)[:40]!r}"
+            )
         if len(names) != int(count[0]):
             raise self.refuse(f"CHANNELS {count[0]} is followed by {len(names)} names")
         channels = [_CHANNEL.get(name.lower(), "") for name in names]
         if "" in channels or len(set(channels)) != len(channels):
-            raise self.refuse(f"{' '.join(names)[:80]!r} are not channels", "see X/Y/Zposition")
+            raise self.refuse(
+                f"{' '.join(names)[:80]!r} are not channels", "write Xposition, Zrotation, ..."
+            )
         self.header.channels[self.open[-1]] = channels
 
 

@@ -76,6 +76,7 @@ class Report:
         notes: what was assumed or changed in reading, one clause each.
         skeleton: the family of the file's skeleton.
         explanation: one line for each joint: its mapping and the reason.
+        foot_pitch: the skeleton family's declared pitch of the feet in radians; 0 if unknown.
     """
 
     units: str
@@ -89,6 +90,7 @@ class Report:
     notes: tuple[str, ...] = ()
     skeleton: str = ""
     explanation: tuple[str, ...] = ()
+    foot_pitch: float = 0.0
 
     def __str__(self) -> str:
         fall = "no flight" if self.gravity is None else f"free fall {self.gravity:.1f} m/s2"

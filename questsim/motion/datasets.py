@@ -176,7 +176,7 @@ def fetch(name: str, mirror: str | None = None) -> Path:
         except zipfile.BadZipFile:
             if downloaded:
                 archive.unlink(missing_ok=True)
-            raise InputError("is no zip archive or is damaged", archive, "fetch again") from None
+            raise InputError("is damaged or not a zip archive", archive, "fetch again") from None
         if downloaded:
             archive.unlink(missing_ok=True)
     _write(folder / _MARKER, manifest_digest(name).encode())

@@ -154,7 +154,8 @@ def _parts(archive: Any, path: Path, kind: str, arrays: dict[str, tuple[int, ...
             raise InputError(f"{kind}_{key} does not fit {kind}_frames", path, AGAIN)
     for name, digest in zip(out["name"], out["source_sha256"], strict=True):
         if digest and not _SHA256.fullmatch(digest):
-            raise InputError(f"{kind}_source_sha256 of {name} is no SHA-256", path, AGAIN)
+            what = f"{kind}_source_sha256 of {name} is not a SHA-256 hash (64 hexadecimal digits)"
+            raise InputError(what, path, AGAIN)
     edges = np.concatenate([[0], np.cumsum(frames)])
     for key, row in arrays.items():
         array = _array(archive, path, f"{kind}_{key}", "f", row)

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from questsim.errors import InputError
+from questsim.motion.checks import Report
 from questsim.motion.clip import Clip
-from questsim.motion.families import add_families, registered_families
+from questsim.motion.families import SMPL, add_families, registered_families
 from questsim.motion.motion import Motion
 from questsim.motion.reading import ReadOptions, read_motion
 from questsim.motion.skeletons import RECOGNISED
@@ -79,7 +80,18 @@ def read_and_retarget(path: Path, options: ReadOptions, with_error: bool = False
     if report.skeleton == RECOGNISED and not options.accept:
         check_fit(motion, clip, path)
     stance = stance_figures(motion, clip) if with_error else None
+    if stance and not stance.still:
+        report = replace(report, notes=(*report.notes, _unmeasured_soles(report)))
     return Retargeted(motion, clip, str(report), error, stance)
+
+
+def _unmeasured_soles(report: Report) -> str:
+    """Says what the tilt of the soles is taken from in a file whose feet are never still."""
+    kind = report.skeleton or SMPL.name
+    if report.foot_pitch:
+        degrees = np.degrees(report.foot_pitch)
+        return f"feet never still: soles pitched by {degrees:.0f} deg, as declared for {kind} files"
+    return f"feet never still: soles not measured, and no pitch is known for {kind} files"
 
 
 def check_fit(motion: Motion, clip: Clip, path: Path) -> None:

@@ -72,7 +72,9 @@ class ReadOptions:
             what = f"frame rate {self.fps:g} is not within {MIN_FPS:g}-{MAX_FPS:g}"
             raise InputError(what, "--fps")
         if self.height_m is not None and not MIN_STATURE_M <= self.height_m <= MAX_STATURE_M:
-            what = f"{self.height_m:g} m is no stature within {MIN_STATURE_M}-{MAX_STATURE_M} m"
+            what = (
+                f"a height of {self.height_m:g} m is not within {MIN_STATURE_M}-{MAX_STATURE_M} m"
+            )
             raise InputError(what, "--height")
 
 
@@ -162,7 +164,12 @@ def _on_own_skeleton(
     about = {"licence": options.licence}
     if named := _CLIP_NAME.fullmatch(recording.path.stem):
         about |= named.groupdict()
-    said = {"notes": recording.notes, "explanation": skeleton.explanation, "skeleton": family.name}
+    said = {
+        "notes": recording.notes,
+        "explanation": skeleton.explanation,
+        "skeleton": family.name,
+        "foot_pitch": family.foot_pitch,
+    }
     usual = f"as {family.name} files"
     if family.units and family.up and not (options.units or options.up or options.height_m):
         motion = to_motion(recording, family, UNITS[family.units], family.up, **about)
@@ -196,7 +203,8 @@ def _units(recording: Recording, family: Family, options: ReadOptions) -> tuple[
         return UNITS[family.units], f"{family.units} (as {family.name} files)"
     if not fitting:
         raise InputError(
-            f"the skeleton is {height:.3g} units tall, a person in none of {', '.join(UNITS)}",
+            f"the skeleton is {height:.3g} units tall, not a person's height in any of "
+            f"{', '.join(UNITS)}",
             recording.path,
             "declare the performer's height with --height",
         )

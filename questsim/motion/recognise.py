@@ -2,9 +2,10 @@
 
 Limbs are chains of sided joints. For each chain, every choice of thigh, shin, foot and toe (or
 collarbone, arm, forearm and hand) is scored by the words in the names and the bone lengths. The
-best chains become legs and arms. The spine lies between the joint that joins the legs and the one
-that joins the arms; the neck leads from there to the head. Extra spine, neck and twist joints are
-folded into the mapped ones, whose positions stay the same.
+best chains become legs and arms; if no name says left or right, ``unsided`` finds them. The spine
+lies between the joint that joins the legs and the one that joins the arms; the neck leads from
+there to the head. Extra spine, neck and twist joints are folded into the mapped ones, whose
+positions stay the same.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from questsim.errors import InputError
 from questsim.motion.joint_names import ARM, HEAD, HIPS, LEG, NECK, Name, fit, understand
 from questsim.motion.recording import Recording
+from questsim.motion.unsided import find_limbs
 from questsim.skeleton import JOINTS
 
 MAX_CHAIN = 9
@@ -98,13 +100,19 @@ def find_roles(recording: Recording) -> Roles:
     recording = with_ends(recording)
     tree = _tree(recording)
     found: dict[str, int] = {}
-    points: dict[str, float] = {}
+    why: dict[str, str] = {}
+    if not any(name.side for name in tree.names):
+        limbs = find_limbs(recording, MAPPING)
+        found, why = dict(limbs.joints), dict.fromkeys(limbs.joints, limbs.reason)
+        _trunk(tree, found, recording)
+        return _named(recording, found, why)
     legs, arms = (_limbs(tree, part, recording) for part in (LEG, ARM))
     for side in ("left", "right"):
         leg, arm = legs[side], arms[side]
         for limb, (chosen, score) in (("leg", leg), ("arm", arm)):
             found |= {f"{side}_{role}": joint for role, joint in chosen.items()}
-            points |= {f"{side}_{role}": score for role in chosen}
+            reason = f"place in its chain, name and length ({score:.1f} points)"
+            why |= {f"{side}_{role}": reason for role in chosen}
             if not chosen:
                 raise InputError(
                     f"no human skeleton is recognised: there is no {side} {limb}",
@@ -112,18 +120,16 @@ def find_roles(recording: Recording) -> Roles:
                     MAPPING,
                 )
     _trunk(tree, found, recording)
-    return _named(recording, found, points)
+    return _named(recording, found, why)
 
 
-def _named(recording: Recording, found: dict[str, int], points: dict[str, float]) -> Roles:
+def _named(recording: Recording, found: dict[str, int], why: dict[str, str]) -> Roles:
     reasons = {}
     for joint in JOINTS:
         if joint not in found:
             reasons[joint] = "the file has none"
-        elif joint in points:
-            reasons[joint] = f"place in its chain, name and length ({points[joint]:.1f} points)"
         else:
-            reasons[joint] = "place between legs, arms and head"
+            reasons[joint] = why.get(joint, "place between legs, arms and head")
     joints = {j: recording.names[found[j]] for j in JOINTS if j in found}
     ends = {name for name in joints.values() if name.endswith(END)}
     if not ends:
@@ -283,4 +289,7 @@ def _head(tree: _Tree, chest: int, limbs: set[int], recording: Recording) -> int
         raise InputError(
             "no human skeleton is recognised: there is no head", recording.path, MAPPING
         )
-    return max(below, key=lambda joint: (len(tree.path(joint)), -joint))
+    top = max(below, key=lambda joint: (len(tree.path(joint)), -joint))
+    # Where the chain forks, there is a face.
+    above = tree.path(top)[tree.path(top).index(tree.meet(chest, top)) + 1 :]
+    return next((joint for joint in above if len(tree.children(joint)) > 1), top)

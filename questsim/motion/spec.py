@@ -312,7 +312,9 @@ def _synthetic(part: str, seed: int) -> list[Clip]:
 
 def _count(text: str, part: str) -> int:
     if not text.isdecimal() or int(text) < 1:
-        raise InputError(f"{text!r} is no count of clips", part, f"write {SYNTHETIC}:{RANDOM}:500")
+        raise InputError(
+            f"{text!r} is not a number of clips", part, f"write {SYNTHETIC}:{RANDOM}:500"
+        )
     return int(text)
 
 

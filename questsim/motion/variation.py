@@ -173,7 +173,7 @@ class _Pool:
                 return replace(result, name=f"{result.name}-vary-{self._seed}-{number}")
             tally.rejected[reason] += 1
         raise InputError(
-            f"no variation of {ATTEMPTS} recipes is one that people could do",
+            f"no variation of {ATTEMPTS} recipes is physically possible for a person",
             fix="give more or other motions",
         )
 

@@ -47,7 +47,7 @@ def random_clips(count: int, seed: int = 0, kinds: Sequence[str] = TRAINED) -> l
         raise InputError(f"{what} is below zero")
     for kind in kinds:
         if kind not in (*KINDS, *ACTIONS):
-            needs = " needs a chair" if kind in SEATED else " is no kind of synthetic motion"
+            needs = " needs a chair" if kind in SEATED else " is not a kind of synthetic motion"
             raise InputError(f"{kind!r}{needs}", fix=f"choose from {', '.join(TRAINED)}")
     return [_random(kinds[number % len(kinds)], seed, number) for number in range(count)]
 
