@@ -102,7 +102,9 @@ def _work(connection: Connection, seed: int) -> None:
         name, number = task
         reader = READERS[name]
         if name not in prepared:  # imports and compiled loops are not what is limited
-            resource.setrlimit(resource.RLIMIT_CPU, (resource.RLIM_INFINITY,) * 2)
+            resource.setrlimit(
+                resource.RLIMIT_CPU, (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
+            )
             reader.prepare()
             prepared.add(name)
             _limit_memory()

@@ -47,13 +47,14 @@ def compare(got: Motion, truth: Motion, rig: Rig) -> tuple[np.ndarray, np.ndarra
 def test_a_producers_file_imports_with_every_joint_in_its_place(name, tmp_path):
     rig = RIGS[name]
     truth = write_rig(tmp_path / "a.bvh", rig)
-    motion, report = read_motion(tmp_path / "a.bvh")
+    motion, _ = read_motion(tmp_path / "a.bvh")
     distance, angle = compare(motion, truth, rig)
     names = [JOINTS[joint] for joint in in_file(rig)]
     assert distance.max() < 0.005, names[int(distance.argmax())]
-    # Axes from a rest pose are exact; from how someone moves as good as knees are hinges.
-    limit = 12.0 if "how the performer moves" in report.explanation[0] else 6.0
-    assert angle.max() < limit, (names[int(angle.argmax())], angle.max())
+    # Axes from a rest pose are exact; from how someone moves, feet are as level as they stand. A
+    # trunk that leans all the time keeps its lean.
+    assert angle.max() < 6.0, (names[int(angle.argmax())], angle.max())
+    assert all(a < 3.0 for a, joint in zip(angle, names, strict=True) if "spine" in joint)
     assert max(retargeting_error(motion, to_clip(motion)).values()) < MAX_ERROR_CM
 
 
@@ -107,7 +108,7 @@ def test_left_is_left_in_a_file_whose_names_do_not_say_it(rig, style, mirror, tm
     without_sides(path, style, mirror=made.order if mirror else "")
     motion, report = read_motion(path)
     distance, angle = compare(motion, truth.mirrored() if mirror else truth, made)
-    assert distance.max() < 0.005 and angle.max() < 12.0
+    assert distance.max() < 0.005 and angle.max() < 6.0
     assert "left is known from feet and knees and travel" in "".join(report.explanation)
 
 

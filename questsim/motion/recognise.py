@@ -101,7 +101,7 @@ def find_roles(recording: Recording) -> Roles:
     tree = _tree(recording)
     found: dict[str, int] = {}
     why: dict[str, str] = {}
-    if not any(name.side for name in tree.names):
+    if not any(name.side and name.part for name in tree.names):
         limbs = find_limbs(recording, MAPPING)
         found, why = dict(limbs.joints), dict.fromkeys(limbs.joints, limbs.reason)
         _trunk(tree, found, recording)

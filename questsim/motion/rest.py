@@ -3,7 +3,8 @@
 If the zero pose or the first frame is a standing person with straight limbs (T, A or I pose, or
 arms down), the axes are taken from it; ``convert`` rotates its limbs to the T-pose by the shortest
 rotation. Otherwise the axes come from the motion: the hinge axes are those about which knees and
-elbows bend, and the trunk's axes are averaged over the frames with an upright performer.
+elbows bend; the trunk's up axis is the line from hips to shoulders, the head's is the vertical,
+both averaged over the frames with an upright performer.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ MAX_FRAMES = 300
 SNAP = np.cos(np.radians(20.0))
 SPLAY = np.cos(np.radians(12.0))
 """If the legs are further apart than this in the rest pose, the feet are splayed with the shins."""
+TRUNK_ENDS = ("hip", "shoulder")
 MIN_BEND = 0.1
 """Below this mean sine of the hinge angle, a limb bends too little to find its axis."""
 
@@ -207,11 +209,14 @@ def _from_motion(recording: Recording, index: Mapping[str, int]) -> Rest | None:
     left_world = moving.places["left_hip"] - moving.places["right_hip"]
     shoulders = moving.places["left_shoulder"] - moving.places["right_shoulder"]
     axes: dict[str, np.ndarray] = {}
+    # Who leans all the time must not be taken for upright: hips to shoulders are the trunk's up.
+    middle = [(moving.places[f"left_{j}"] + moving.places[f"right_{j}"]) / 2 for j in TRUNK_ENDS]
+    along = unit(middle[1] - middle[0])
     for joint in ("root", "spine1", "spine2", "spine3", "neck", "head"):
         if joint in index:
             left = left_world if joint in ("root", "spine1") else shoulders
             axes[joint] = _axes(
-                unit(moving.own(joint, up_world, stands)),
+                unit(moving.own(joint, up_world if joint in ("neck", "head") else along, stands)),
                 moving.own(joint, unit(left), stands),
                 snap=False,
             )

@@ -159,12 +159,10 @@ def _is_split(chain: list[int], limb: list[int], length: np.ndarray) -> bool:
 def _roles(limb: list[int], is_leg: bool, length: np.ndarray) -> dict[str, int]:
     """Our parts of a limb, e.g. ``hip``, to the file's joints."""
     if not is_leg:
-        roles = dict(zip(("clavicle", "shoulder", "elbow", "wrist"), limb, strict=False))
-        return {part: joint for part, joint in roles.items() if joint >= 0}
-    roles = dict(zip(("hip", "knee", "ankle"), limb[1:], strict=False))
-    if _has_foot(limb, length):
-        roles["toe"] = limb[4]
-    return roles
+        arm = zip(("clavicle", "shoulder", "elbow", "wrist"), limb, strict=False)
+        return {part: joint for part, joint in arm if joint >= 0}
+    parts = ("hip", "knee", "ankle", "toe") if _has_foot(limb, length) else ("hip", "knee", "ankle")
+    return dict(zip(parts, limb[1:], strict=False))
 
 
 def _has_foot(leg: list[int], length: np.ndarray) -> bool:
