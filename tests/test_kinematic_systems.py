@@ -11,6 +11,7 @@ from agents.kinematic.data import MotionBank
 from agents.kinematic.dragposer.constraints import joint_distance, weighted
 from agents.kinematic.dragposer.model import DragModel
 from agents.kinematic.dragposer.networks import PAST, DragPoserModule, joints_from_root
+from agents.kinematic.dragposer.published import PublishedDragPoser
 from agents.kinematic.dragposer.solver import LOST_FRAMES, DragPoser
 from agents.kinematic.ik import InverseKinematics
 from agents.kinematic.interface import Poses, UserBody, device_names
@@ -21,6 +22,7 @@ from agents.kinematic.recurrent.poser import RecurrentModule, RecurrentPoser
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.skeletal import POOLINGS, SIZES, neighbour_mask
 from agents.kinematic.sparseposer.poser import SparsePoser, SparsePoserModule
+from agents.training.hold_out import without_styles
 from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.joint_sensors import readings
@@ -340,6 +342,32 @@ def test_dragposer_as_published_moves_the_latent_alone_and_its_root_to_the_hips_
     assert four.finite()
     with pytest.raises(InputError, match="no option 'solver'"):
         entry.system(module, "drag", ["vae"], {"solver": "newton"})
+    # The published solver also runs on the weights of the improved system.
+    improved = entry.build(entry.presets["smoke"].spec)
+    both = [entry.system(improved, "drag", [], o) for o in ({}, {"published": True})]
+    assert [type(system) for system in both] == [DragPoser, PublishedDragPoser]
+    with pytest.raises(InputError, match="no option 'solver'"):
+        entry.system(improved, "drag", [], {"published": True, "solver": "newton"})
+
+
+def test_styles_held_out_are_only_in_the_windows_that_compare_checkpoints():
+    learnt, other = replace(MOTION, style="normal"), replace(MOTION.mirrored(), style="old")
+    kept, held = without_styles([learnt, other], "old")
+    assert (kept, held) == ([learnt], [other])
+    bank = MotionBank(kept, 20, held)
+    assert np.allclose(bank.rotations, learnt.resampled(60.0).rotations, atol=1e-6)
+    assert np.allclose(bank.validation.rotations, other.resampled(60.0).rotations, atol=1e-6)
+    told = {}
+    for name, validation in (("held", held), ("none", [])):
+        module: Any = AGENTS["dragposer"].build(AGENTS["dragposer"].presets["smoke"].spec)
+        learning = AGENTS["dragposer"].presets["smoke"].stages["vae"]
+        torch.manual_seed(0)
+        task = AGENTS["dragposer"].task(module, "vae", learning, MotionBank(kept, 3, validation), 4)
+        told[name] = (module.mean.clone(), task.validate()["error_cm"])
+    assert torch.equal(told["held"][0], told["none"][0])
+    assert told["held"][1] != told["none"][1]
+    with pytest.raises(InputError, match="no clip has style 'angry'"):
+        without_styles([learnt], "angry")
 
 
 def test_dragposer_goes_on_when_trackers_vanish_one_by_one_and_come_back():

@@ -54,12 +54,14 @@ class MotionBank:
     Args:
         motions: recordings of any frame rate.
         length: frames per window; shorter motions are left out.
+        held: recordings that are only in the fixed windows on which checkpoints are compared.
 
     Raises:
         InputError: no motion is long enough.
     """
 
-    def __init__(self, motions: Sequence[Motion], length: int) -> None:
+    def __init__(self, motions: Sequence[Motion], length: int, held: Sequence[Motion] = ()) -> None:
+        self.validation: MotionBank = MotionBank(held, length) if held else self
         kept = [m for m in (motion.resampled(SENSOR_FPS) for motion in motions) if len(m) >= length]
         if not kept:
             raise InputError(

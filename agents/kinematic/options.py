@@ -36,5 +36,7 @@ class TrainSystemArgs:
     nowhere else."""
     seed: int = 0
     """Seed of all random numbers."""
+    hold_out: str = ""
+    """Styles, separated by commas, to hold out from training and compare checkpoints on."""
     set: tuple[str, ...] = ()
     """Change values of the preset, e.g. stages.network.batch=16."""

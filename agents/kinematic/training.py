@@ -34,6 +34,7 @@ from agents.run_folder import (
     refuse_existing,
     start_run,
 )
+from agents.training.hold_out import without_styles
 from agents.training.loggers import check_logger
 from agents.training.monitor import Display
 from agents.training.stage import Budget, Stopper
@@ -64,7 +65,10 @@ def train_system(args: TrainSystemArgs) -> int:
     else:
         refuse_existing(args.out)
     motions = load_recordings(args.motions, seed=args.seed)
+    motions, held = without_styles(motions, args.hold_out)
     data = motions_record(args.motions, motions)
+    if held:
+        data["hold_out"] = args.hold_out
     if args.resume:
         check_same_run(read_run(args.out), args, data, MAY_DIFFER_ON_RESUME, args.out)
     torch.set_num_threads(args.threads)
@@ -85,7 +89,7 @@ def train_system(args: TrainSystemArgs) -> int:
 
     with only_training(args.out), Display() as display, stopper.listening():
         for name in config.stages:
-            fit = _fit(name, args, config, module, motions, banks, data)
+            fit = _fit(name, args, config, module, (motions, held), banks, data)
             begin()
             fit.run(display, stopper)
             if stopper.requested:
@@ -133,15 +137,18 @@ def _fit(
     args: TrainSystemArgs,
     config: Config,
     module: nn.Module,
-    motions: Sequence[Motion],
+    motions: tuple[Sequence[Motion], Sequence[Motion]],
     banks: dict[int, MotionBank],
     data: dict[str, Any],
 ) -> Fit:
-    """One stage, resumed if ``args`` request it and a checkpoint exists."""
+    """One stage, resumed if ``args`` request it and a checkpoint exists.
+
+    ``motions`` are those to learn and those held out.
+    """
     learning = config.stages[name]
     if learning.window not in banks:
         banks.clear()
-        banks[learning.window] = MotionBank(motions, learning.window)
+        banks[learning.window] = MotionBank(motions[0], learning.window, motions[1])
     stages = list(config.stages)
     # Each stage has its own random stream, whether or not the stage before was resumed.
     seed = args.seed + 1000 * stages.index(name)

@@ -142,9 +142,10 @@ def _facts(system: KinematicSystem, training: Mapping[str, Any], weights_bytes: 
     versions = training["versions"]
     packages = ", ".join(f"{name} {versions[name]}" for name in ("questsim", "torch"))
     count = parameters(system)
+    held = f"without {training['hold_out']}, " if training.get("hold_out") else ""
     rows = {
         "licence": training["licence"],
-        "trained on": f"`{training['motions']}`: {training['clips']} clips, "
+        "trained on": f"`{training['motions']}`: {training['clips']} clips, {held}"
         f"{time_text(training['seconds'] / 60)}, mirrored, with varied body proportions",
         "training": f"preset `{training['preset']}`; {stages}; {whole} in all",
         "seed": str(training["seed"]),

@@ -29,6 +29,7 @@ from agents.run_folder import (
 )
 from agents.training.cluster import ActorPool, ray_cluster
 from agents.training.fresh_motions import REDRAW_STEPS, FreshMotions, check_share, redrawing
+from agents.training.hold_out import without_styles
 from agents.training.learner import Learner
 from agents.training.loggers import check_logger
 from agents.training.make_learner import make_learner
@@ -339,14 +340,7 @@ def split_validation(
     Raises:
         InputError: no such style, or no training clips are left.
     """
-    styles = {style.strip() for style in hold_out.split(",") if style.strip()}
-    unknown = styles - {clip.style for clip in clips}
-    if unknown:
-        raise InputError(f"no clip has style {sorted(unknown)[0]!r}", "--hold-out")
-    learnt = [clip for clip in clips if clip.style not in styles]
-    if not learnt:
-        raise InputError("no clips are left to train on", "--hold-out")
-    held = [clip for clip in clips if clip.style in styles]
+    learnt, held = without_styles(clips, hold_out)
     return learnt, choose_clips(held or learnt, count)
 
 

@@ -24,10 +24,13 @@ SCENARIOS: tuple[Scenario, ...] = (
     Scenario("6", SIX),
     Scenario("6, 1 iteration", SIX, options=(("iterations", 1),)),
     Scenario("6 position only", SIX, options=(("rotations", False),)),
+    Scenario("4, published solver", SIX[:4], options=(("published", True),)),
+    Scenario("6, published solver", SIX, options=(("published", True),)),
     Scenario("faulty 0.5 %", SIX, faults=0.005),
     Scenario("faulty 1 %", SIX, faults=0.01),
 )
-"""Scenarios of DragPoser's table 2, and one with a single iteration per frame."""
+"""Scenarios of DragPoser's table 2, one with a single iteration per frame, and the solver as
+published on the same weights."""
 
 
 def _system(
@@ -36,10 +39,10 @@ def _system(
     assert isinstance(module, DragPoserModule)
     known = ("iterations", "predictor", "constraints", "rotations")
     chosen = {"predictor": "predictor" in trained, **options}
-    if module.spec.published:
-        no_options(name, options, known)
+    if chosen.pop("published", module.spec.published):
+        no_options(name, options, (*known, "published"))
         return PublishedDragPoser(module, name, solver="adam", **chosen)
-    no_options(name, options, (*known, "solver"))
+    no_options(name, options, (*known, "published", "solver"))
     return DragPoser(module, name, **chosen)
 
 

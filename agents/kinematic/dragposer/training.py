@@ -83,7 +83,7 @@ def make_task(
         assert module.predictor is not None
         trained, loss = module.predictor, _predictor_loss(module, module.predictor)
     normal = _limb_noise if stage == "predictor" and module.spec.published else _normal
-    fixed = (bank.fixed(validation), normal(np.random.default_rng(7), stage, validation))
+    fixed = (bank.validation.fixed(validation), normal(np.random.default_rng(7), stage, validation))
 
     def draw(rng: np.random.Generator) -> _Batch:
         return bank.draw(learning.batch, rng), normal(rng, stage, learning.batch)

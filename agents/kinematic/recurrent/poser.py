@@ -310,7 +310,7 @@ def make_task(
     assert isinstance(module, RecurrentModule) and stage == "network"
     if not module.template.any():
         module.template.copy_(torch.as_tensor(bank.template))
-    fixed = bank.fixed(validation)
+    fixed = bank.validation.fixed(validation)
     fixed_seen = torch.tensor(VISIBLE)[torch.arange(validation) % len(VISIBLE)]
 
     def draw(rng: np.random.Generator) -> tuple[Windows, Tensor]:

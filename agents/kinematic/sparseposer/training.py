@@ -80,7 +80,7 @@ def make_task(
     assert isinstance(module, SparsePoserModule)
     if not module.std.any():
         measure_normalisers(module, bank.fixed(NORMALISED_BY))
-    fixed = bank.fixed(validation)
+    fixed = bank.validation.fixed(validation)
     if stage == "generator":
         trained = list(module.generator.parameters())
         loss = _generator_loss(module, learning.bfloat16)
