@@ -137,8 +137,8 @@ def test_a_cluster_of_two_nodes_trains_the_same_when_it_loses_one(tmp_path):
         | {"PYTHONPATH": root},
     )
     assert done.returncode == 0, done.stderr[-3000:]
-    lines = [line for line in done.stdout.splitlines() if line]
-    assert lines == ["nodes 2", "used 2", "lost", "same"]
+    expected = ["nodes 2", "used 2", "lost", "same"]  # Ray reports the lost node in between
+    assert [line for line in done.stdout.splitlines() if line in expected] == expected
 
 
 def test_a_cluster_of_one_machine_stays_on_loopback(cluster):
