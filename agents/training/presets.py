@@ -61,7 +61,8 @@ class StageConfig:
         steps: largest number of environment steps; None for no limit.
         evaluate_every: environment steps between evaluations on the fixed set.
         reward: reward of the environment.
-        sampling: ``uniform`` or ``failure``.
+        sampling: of clips and first frames: ``uniform``, ``failure`` (those that end in falls more
+            often) or ``kind`` (as ``failure``, with all kinds of motion equally often).
         max_error_m: mean link error at which training episodes end early, to save simulation.
             Evaluations always allow 0.5 m.
     """
