@@ -167,9 +167,9 @@ def test_an_own_kinematic_system_takes_the_place_of_a_shipped_one(own, library):
 
 def test_everyone_is_compared_in_the_order_of_the_tables():
     names = everyone()
-    assert names[:5] == ["ik", "hmdposer", "lgsik", "sparseposer", "dragposer"]
-    assert names[5:10] == [f"{name}{PHYSICS}" for name in names[:5]]
-    assert names[10:] == ["questsim", "questsim-headset", "questsim-now"]
+    assert names[:6] == ["ik", "hmdposer", "lgsik", "sparseposer", "dragposer", "lgsik-lengths"]
+    assert names[6:12] == [f"{name}{PHYSICS}" for name in names[:6]]
+    assert names[12:] == ["questsim", "questsim-headset", "questsim-now", "questsim-robust"]
 
 
 def test_random_agents_of_a_name_are_new_each_time():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from agents.policy.policy_agent import PolicyAgent, Tracker, new_policy
 from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
 from agents.run_folder import start_run
 from agents.shipping import ship as shipping
-from agents.shipping.provenance import StagePart, _joined
+from agents.shipping.provenance import StagePart, _joined, options_of
 from agents.shipping.ship import ShipArgs, check_name, ship
 from agents.training.options import TrainArgs
 from agents.training.presets import PRESETS
@@ -304,4 +305,13 @@ def test_common_teacher_of_two_shipped_policies_is_told_once_and_by_one_name():
     assert lines == [
         "python train.py --out runs/tracker",
         "python train.py --out runs/student --teacher runs/tracker",
+    ]
+
+
+def test_cards_name_no_folder_of_the_machine_of_the_training():
+    words = options_of({"motions": "/home/me/a.npz,synthetic", "validation": "/home/me/val.npz"})
+    assert words == ["--motions", "runs/a.npz,synthetic", "--validation", "runs/val.npz"]
+    texts = [path for path in shipping.SHIPPED.rglob("*") if path.suffix in (".md", ".yaml")]
+    assert texts and not [
+        path for path in texts if re.search(r"(^|[ ,='\"])/\w+/", path.read_text(), re.M)
     ]

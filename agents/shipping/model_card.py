@@ -25,6 +25,11 @@ LICENCE_TEXTS = {
         "like the motions that they were trained on: **no commercial use**, and credit is "
         "required. Only the code is under the MIT licence."
     ),
+    "LicenseRef-CMU-MoCap": (
+        "Some of the motions are of the CMU Graphics Lab Motion Capture Database, which is free "
+        "for any use. The data was obtained from mocap.cs.cmu.edu; the database was created with "
+        "funding from NSF EIA-0196217."
+    ),
 }
 
 DRIVER_USE = """\
@@ -46,7 +51,7 @@ LIMITS = """\
 
 SPARSE_LIMITS = """\
 - The device signals in training were synthetic: rigid offsets from the clips' head and hands,
-  without noise, latency or loss of tracking.
+  {faults}.
 - It can only guess leg movements that are independent of head and hands."""
 
 
@@ -67,7 +72,12 @@ def model_card(
     figures = [line for part in metrics for line in _figures(part)]
     limits = LIMITS.format(ground=_ground(training))
     if not tracker:
-        limits += "\n" + SPARSE_LIMITS
+        faults = (
+            "with noise, mounting errors, jitter and dropouts up to those of the commands above"
+            if training.get("device_faults")
+            else "without noise, latency or loss of tracking"
+        )
+        limits += "\n" + SPARSE_LIMITS.format(faults=faults)
     if not tracker and agent.needs.future_frames:
         delay = round(1000.0 * agent.needs.future_frames / agent.card["fps"], -1)
         limits += (
@@ -283,10 +293,13 @@ def _cell(key: str, value: float | None) -> str:
 
 def licence_lines(training: Mapping[str, Any]) -> list[str]:
     """The licence in words, and credits for the motions of all stages."""
-    licence = training["licence"]
-    lines = [LICENCE_TEXTS.get(licence, f"The weights are under {licence}.")]
+    licences = training["licence"].split(" AND ")
+    texts = [LICENCE_TEXTS.get(one, f"The weights are under {one}.") for one in licences]
+    lines = "\n\n".join(texts).splitlines()
     motions = " ".join(stage["motions"] for stage in training["stages"])
     used = [dataset for name, dataset in DATASETS.items() if name in motions]
     for dataset in used:
         lines += ["", f"Motions: {dataset.title} ({dataset.licence}). {dataset.credit}"]
+    for credit in training.get("credits", ()):
+        lines += ["", f"Motions: {credit}"]
     return lines

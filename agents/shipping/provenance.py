@@ -75,9 +75,22 @@ def provenance(folder: Path) -> dict[str, Any]:
         "pushed": read_run(parts[-1].run)["args"].get("pushes") is not None,
         "objects": read_run(parts[-1].run)["args"].get("objects") or [],
         "shown_estimates": read_run(parts[-1].run)["args"].get("estimates") is not None,
+        "device_faults": _has_device_faults(read_run(parts[-1].run)["args"]),
         "licence": strictest(name for part in parts for name in part.training["licences"]),
+        "credits": sorted({c for part in parts for c in part.training.get("credits", ())}),
         "versions": read_run(parts[-1].run)["versions"],
     }
+
+
+def _has_device_faults(args: Mapping[str, Any]) -> bool:
+    """Whether a training had noise, mounting errors or jitter of the devices."""
+    options = args.get("randomisation") or {}
+    faults = ("noise_m", "noise_rad", "mount_m", "mount_rad", "latency_jitter_frames", "dropout")
+    return any(max(options.get(name, (0.0,))) > 0 for name in faults)
+
+
+NAME_FILES = ("motions", "estimates", "validation", "start_estimates", "body")
+"""Options that may name files of the machine of the training."""
 
 
 def portable(motions: str) -> str:
@@ -301,7 +314,7 @@ def options_of(args: Mapping[str, Any], kind: type = TrainArgs) -> list[str]:
             for inner, number in value.items():
                 if number != default[inner]:
                     words += _words(f"{name}.{inner}", number)
-        elif name in ("motions", "estimates") and value is not None:
+        elif name in NAME_FILES and value is not None:
             words += _words(name, portable(value))
         elif value != default or name == "preset":
             words += _words(name, value)
