@@ -40,12 +40,14 @@ def questsim(folder: Path, *words: object, script: str | None = None) -> Attempt
     """
     before = set(folder.rglob("*"))
     with TemporaryFile("w+") as out, TemporaryFile("w+") as err:
-        sys.stdout.flush(), sys.stderr.flush()
+        sys.stdout.flush()
+        sys.stderr.flush()
         child = os.fork()
         if child == 0:
             _become(folder, list(map(str, words)), script, out.fileno(), err.fileno())
         code = _exit_code(child, seconds=120.0)
-        out.seek(0), err.seek(0)
+        out.seek(0)
+        err.seek(0)
         written = out.read(), err.read()
     left = {path.relative_to(folder).as_posix() for path in set(folder.rglob("*")) - before}
     return Attempt(code, *written, left - {"MUJOCO_LOG.TXT"})

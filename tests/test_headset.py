@@ -321,6 +321,7 @@ def test_session_with_palms_locates_the_controllers_after_six_seconds():
                 session.push(frame)
                 time.sleep(0.001)
     assert any(state.get("text", "").startswith("let your arms hang and turn") for state in said)
+    assert follower.calibration is not None
     found = follower.calibration.mounts["left_controller"].apply(DevicePose(np.zeros(3), IDENTITY))
     true = -Rotation.from_rotvec([0.2, 0.0, 0.0]).inv().apply(mount)
     assert np.linalg.norm(found.position - true) < 0.01

@@ -116,7 +116,7 @@ def test_the_avatar_takes_the_poses_that_the_comparison_scores(agent):
     live = session(agent)
     motion = to_motion(CLIPS[0]).resampled(60.0)
     scenario = Scenario("", SENSOR_SETS[live.settings.sensors])
-    whole = over_users_floor(reconstructed((agent, scenario, motion, 0)), motion).scaled(1.75)
+    whole = over_users_floor(reconstructed((agent, scenario, motion, 0, None)), motion).scaled(1.75)
     for frame in range(1, 60):
         shown = advance(live, 1)
         np.testing.assert_allclose(shown.position, whole.link_position[frame], atol=4e-3)

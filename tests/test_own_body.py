@@ -138,8 +138,8 @@ def test_every_size_of_the_task_follows_from_the_map(walk):
     total, loaded = 0.0, 0.0
     for _ in range(8):
         obs, reward, _, _, info = env.step(np.zeros(22, np.float32))
-        assert np.isfinite(obs).all() and 0.0 < reward <= 1.0
-        total, loaded = total + reward, max(loaded, info["foot_force_n"][:, 2].max())
+        assert np.isfinite(obs).all() and 0.0 < float(reward) <= 1.0
+        total, loaded = total + float(reward), max(loaded, info["foot_force_n"][:, 2].max())
     weight = 9.81 * sim.body.model.body_mass.sum()
     assert 0.2 * weight < loaded < 20 * weight
     env.close()

@@ -220,7 +220,9 @@ def test_feet_of_a_stream_that_point_outwards_skate_no_more_than_a_whole_motions
     motion = spoiled(to_motion(walk))
     rotations = motion.rotations[:90].copy()
     for ankle, outwards in zip(ANKLES, (0.6, -0.6), strict=True):
-        rotations[:, ankle] = rot.quat_multiply(rotations[:, ankle], rot.yaw_quat(outwards))
+        rotations[:, ankle] = rot.quat_multiply(
+            rotations[:, ankle], rot.yaw_quat(np.array(outwards))
+        )
     motion = replace(motion, root_position=motion.root_position[:90], rotations=rotations)
     whole = to_clip(motion)
     rows = StreamRetargeter(motion, whole.height_m)(motion)
