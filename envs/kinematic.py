@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -37,10 +37,11 @@ class KinematicVecEnv(QuestVecEnv):
         num_threads: int = 1,
         shown: Sequence[Clip] | None = None,
         render_mode: str | None = None,
+        begin_at: Mapping[str, Clip] | None = None,
         **options: Any,
     ) -> None:
         super().__init__(
-            motions, config, num_envs, seed, num_threads, shown, render_mode, **options
+            motions, config, num_envs, seed, num_threads, shown, render_mode, begin_at, **options
         )
         self.action_space = gym.spaces.Box(-np.inf, np.inf, (POSE_SIZE,), np.float32)
         self._pose = np.zeros((self.num_envs, POSE_SIZE))

@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
+from envs.avatar import avatar_of
 from questsim.reward import TERMS
 from questsim.skeleton import NUM_DOFS
 
@@ -32,6 +33,7 @@ class FakeVecEnv(VecEnv):
     damping = np.full(NUM_DOFS, 1.0)
     episode_frames = 40
     unstable_count = 0
+    avatar = avatar_of(None)
 
     def __init__(self, num_envs: int = 8, seed: int = 0) -> None:
         self.layout = {name: slice(*block) for name, block in BLOCKS.items()}

@@ -239,7 +239,7 @@ BROKEN: dict[str, tuple[Callable[[str], str], str]] = {
         "values, the channels|no position channels",
     ),
     "brace": (lambda t: _line(t, "JOINT", ""), "unexpected {"),
-    "giant": (lambda t: _line(t, "OFFSET", "OFFSET 1e308 0 0"), "no bone's length"),
+    "giant": (lambda t: _line(t, "OFFSET", "OFFSET 1e308 0 0"), "too large for a bone"),
     "rate as time": (lambda t: _line(t, "Frame Time:", "Frame Time: 30"), "0.0333 frames.*--fps"),
     "too fast": (lambda t: _line(t, "Frame Time:", "Frame Time: 5e-324"), "frames a second.*--fps"),
     "frames nan": (lambda t: _line(t, "Frames:", "Frames: nan"), "not a whole number"),

@@ -57,6 +57,7 @@ def test_every_dependency_is_pinned():
     wanted = project["dependencies"] + [*chain(*project["optional-dependencies"].values())]
     pins = (ROOT / "constraints.txt").read_text().lower().replace("_", "-")
     names = {re.split(r"[<>=\[]", requirement)[0] for requirement in wanted} - {project["name"]}
+    names -= {"trackio"}  # needs an older pillow than the pinned one, so it is installed without
     assert not [name for name in names if f"\n{name}==" not in pins]
 
 

@@ -209,7 +209,7 @@ def test_nothing_pushes_it_and_the_page_says_so_and_goes_on():
     live, calm = session(), session()
     for one in (live, calm):
         advance(one, 5)
-    with pytest.raises(InputError, match="without physics"):
+    with pytest.raises(InputError, match="has no physics"):
         live.push(200.0, 90.0)
     shown = advance(live, 5)
     np.testing.assert_array_equal(shown.qpos, advance(calm, 5).qpos)

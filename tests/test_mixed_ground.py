@@ -163,9 +163,9 @@ def test_teacher_and_student_learn_on_mixed_ground_under_pushes(
     made: list[EnvConfig] = []
     vec_env, sim = rollout_worker.QuestVecEnv, training.evaluation_sim
 
-    def see_env(clips, config, *rest):
+    def see_env(clips, config, *rest, **others):
         made.append(config)
-        return vec_env(clips, config, *rest)
+        return vec_env(clips, config, *rest, **others)
 
     def see_sim(clips, config, *rest, **others):
         made.append(config)

@@ -159,7 +159,7 @@ def test_truths_are_as_tall_as_what_is_estimated_of_their_recordings(
     learnt = []
     monkeypatch.setattr(
         "agents.training.rollout_worker.QuestVecEnv",
-        lambda clips, *rest: learnt.extend(clips) or QuestVecEnv(clips, *rest),
+        lambda clips, *rest, **others: learnt.extend(clips) or QuestVecEnv(clips, *rest, **others),
     )
     args = tiny(tmp_path / "run", stage="student", teacher=Path("tracker"), estimates=str(path))
     assert train(args) == 0

@@ -243,7 +243,7 @@ def test_paths_stay_on_the_ground_and_those_that_cannot_are_refused() -> None:
     for i in range(30):
         path = sim.placed_clip(i, clip).link_position[:, 0, :2]
         assert (np.abs(path) <= half).all()
-    with pytest.raises(InputError, match=r"glide.*11\.8 m across.*size_m"):
+    with pytest.raises(InputError, match=r"glide.*11\.8 m wide.*size_m"):
         BatchSim([gliding_clip(6.0)], EnvConfig(terrain=terrain))
 
 
