@@ -46,6 +46,10 @@ FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
         ("goes on once more, H+2C", "H+2C, of the last teacher, hardest ground"),
         ("goes on again, H", "H, of the next teacher"),
     ),
+    "training-wider.png": (
+        ("wider, tracker, second part", "tracker, second part"),
+        ("wider, questsim-robust", "questsim-robust, with device errors"),
+    ),
     "training-estimates.png": (
         ("shown estimates", "shown estimates of HMD-Poser and LGSIK-Poser"),
         ("shown estimates, again", "of ik and DragPoser, and recordings, too"),
