@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from envs.kernel_arguments import Episodes, Ground, ReferencePoses, Target
-from envs.lookups import ground_at, height_at, placed
+from envs.lookups import ground_at, height_at, placed, product
 from questsim.body import build_body
 from questsim.compiled import jit
 from questsim.motion.clip import FPS
@@ -72,17 +72,6 @@ def legs() -> Legs:
         length=-offset[[2, 3], 2],
         soles=sole_points(),
         range=np.array([model.joint(name).range for name in DOFS]),
-    )
-
-
-@jit
-def _product(p, q):
-    """Product of two quaternions, as tuples."""
-    return (
-        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
-        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
-        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
-        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
     )
 
 
@@ -327,8 +316,8 @@ def _knee_turn(before, after, thigh, shin):
 @jit
 def _thigh(pelvis, angles, first):
     """A thigh's orientation by the three hinges from ``first`` on."""
-    turn = _product(_about(1, angles[first]), _about(0, angles[first + 1]))
-    return _product(pelvis, _product(turn, _about(2, angles[first + 2])))
+    turn = product(_about(1, angles[first]), _about(0, angles[first + 1]))
+    return product(pelvis, product(turn, _about(2, angles[first + 2])))
 
 
 @jit
@@ -340,7 +329,7 @@ def _within(legs, hinge, angle):
 @jit
 def _seen_by(p, q):
     """The quaternion q relative to p."""
-    return _product((p[0], -p[1], -p[2], -p[3]), q)
+    return product((p[0], -p[1], -p[2], -p[3]), q)
 
 
 @jit
@@ -378,17 +367,17 @@ def _bend(leg, legs, scale, pelvis, hip, ankle, before, turn, foot, angles, posi
     x, y, z = _rotated(_about(1, knee), 0.0, 0.0, -shin)
     x, y, z = _rotated(upper, x, y, z - thigh)
     turned = _between(x, y, z, ankle[0] - hip[0], ankle[1] - hip[1], ankle[2] - hip[2])
-    hip_y, hip_x, hip_z = _angles_yxz(_seen_by(pelvis, _product(turned, upper)))
+    hip_y, hip_x, hip_z = _angles_yxz(_seen_by(pelvis, product(turned, upper)))
     angles[first] = _within(legs, first, hip_y)
     angles[first + 1] = _within(legs, first + 1, hip_x)
     angles[first + 2] = _within(legs, first + 2, hip_z)
     angles[first + 3] = knee
     upper = _thigh(pelvis, angles, first)
-    lower = _product(upper, _about(1, knee))
-    ankle_y, ankle_x, _ = _angles_yxz(_seen_by(lower, _product(turn, foot)))
+    lower = product(upper, _about(1, knee))
+    ankle_y, ankle_x, _ = _angles_yxz(_seen_by(lower, product(turn, foot)))
     angles[first + 4] = _within(legs, first + 4, ankle_y)
     angles[first + 5] = _within(legs, first + 5, ankle_x)
-    sole = _product(_product(lower, _about(1, angles[first + 4])), _about(0, angles[first + 5]))
+    sole = product(product(lower, _about(1, angles[first + 4])), _about(0, angles[first + 5]))
     x, y, z = _rotated(upper, 0.0, 0.0, -thigh)
     knee_at = (hip[0] + x, hip[1] + y, hip[2] + z)
     x, y, z = _rotated(lower, 0.0, 0.0, -shin)

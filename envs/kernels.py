@@ -22,7 +22,7 @@ from envs.kernel_arguments import (
     State,
     Target,
 )
-from envs.lookups import ground_at, heading, height_at, placed, turned, unplaced
+from envs.lookups import ground_at, heading, height_at, placed, product, turned, unplaced
 from questsim.compiled import jit, turn_back
 
 # Constants of SplitMix64, see ``envs.episode_random``.
@@ -70,17 +70,6 @@ def _noise(key, number):
 
 
 @jit
-def _product(p, q):
-    """Product of two quaternions."""
-    return (
-        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
-        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
-        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
-        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
-    )
-
-
-@jit
 def _faulty_device(devices, i, d, row, frame, scale, place, view, out, at):
     """Write the pose of device ``d`` of a row, with noise and mounting errors, to out[at:at + 9].
 
@@ -94,8 +83,8 @@ def _faulty_device(devices, i, d, row, frame, scale, place, view, out, at):
     own = devices.quat[row, d]
     quat = (float(own[0]), float(own[1]), float(own[2]), float(own[3]))
     offset, mount = faults.mount_offset[i, d], faults.mount_quat[i, d]
-    arm = _product(
-        _product(quat, (0.0, offset[0], offset[1], offset[2])),
+    arm = product(
+        product(quat, (0.0, offset[0], offset[1], offset[2])),
         (quat[0], -quat[1], -quat[2], -quat[3]),
     )
     x = devices.position[row, d, 0] * scale + arm[1] + std_m * _noise(key, number)
@@ -106,7 +95,7 @@ def _faulty_device(devices, i, d, row, frame, scale, place, view, out, at):
     half_z = 0.5 * std_rad * _noise(key, number + 5)
     length = math.sqrt(1.0 + half_x * half_x + half_y * half_y + half_z * half_z)
     noise = (1.0 / length, half_x / length, half_y / length, half_z / length)
-    turned_quat = _product(noise, _product(quat, (mount[0], mount[1], mount[2], mount[3])))
+    turned_quat = product(noise, product(quat, (mount[0], mount[1], mount[2], mount[3])))
     x, y = placed(place, x, y)
     turn_back(c, s, x - root_x, y - root_y, z, out, at)
     _columns(

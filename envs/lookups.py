@@ -79,3 +79,14 @@ def unplaced(place, quat):
         half_c * y - half_s * x,
         half_c * z - half_s * w,
     )
+
+
+@jit
+def product(p, q):
+    """Product of two quaternions, as tuples."""
+    return (
+        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
+        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
+        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
+        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
+    )
