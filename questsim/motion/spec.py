@@ -22,6 +22,7 @@ from questsim.motion.clip import Clip
 from questsim.motion.families import registered_families
 from questsim.motion.library import VERSION, Library, is_library, load_library, save_library
 from questsim.motion.many import Refused, Retargeted, named, read_many, say_skipped
+from questsim.motion.mixture import is_mixture, load_mixture
 from questsim.motion.motion import Motion
 from questsim.motion.naming import file_names, place, split_parts, unique_names
 from questsim.motion.reading import ReadOptions
@@ -55,8 +56,9 @@ def load_motions(
         spec: ``synthetic`` (or some of its kinds, ``synthetic:walk+bow``, or ``synthetic:all``,
             ``synthetic:random:500``, ``synthetic:held-out:40``), a dataset
             (``bandai-namco-2``, ``bandai-namco-2:train``, ``bandai-namco-2:test``), a library, a
-            BVH or AMASS file, a folder of these, or several, joined by commas or as a sequence; a
-            file's or folder's own name may have commas.
+            BVH or AMASS file, a folder of these, a part of a mixture file (``FILE.toml:PART``),
+            or several, joined by commas or as a sequence; a file's or folder's own name may
+            have commas.
         height_m: scale all clips to this stature; by default each keeps its performer's.
         mirrored: add a mirrored copy of each clip after the clip itself.
         seed: of the synthetic motions.
@@ -68,11 +70,15 @@ def load_motions(
     """
     from questsim.motion.retarget import mirror_clip
 
-    parts = [
-        (part, _synthetic(part, seed) if _is_synthetic(part) else _load(part, True, strict).clips)
-        for part in _parts(spec)
-    ]
-    clips = _with_unique_names(parts)
+    def of(part: str, seed: int) -> list[Clip]:
+        if is_mixture(part):
+            return _with_unique_names(load_mixture(part, several, seed))
+        return _synthetic(part, seed) if _is_synthetic(part) else _load(part, True, strict).clips
+
+    def several(spec: str | Sequence[str], seed: int) -> list[Clip]:
+        return _with_unique_names([(part, of(part, seed)) for part in _parts(spec)])
+
+    clips = several(spec, seed)
     if height_m is not None:
         clips = [clip.scaled(height_m) for clip in clips]
     if mirrored:
@@ -96,12 +102,17 @@ def load_recordings(
     """
     from questsim.motion.retarget_back import to_motion
 
-    def of(part: str) -> list[Motion]:
+    def of(part: str, seed: int) -> list[Motion]:
+        if is_mixture(part):
+            return _with_unique_names(load_mixture(part, several, seed))
         if _is_synthetic(part):
             return [to_motion(clip) for clip in _synthetic(part, seed)]
         return _load(part, False, strict).motions
 
-    motions = _with_unique_names([(part, of(part)) for part in _parts(spec)])
+    def several(spec: str | Sequence[str], seed: int) -> list[Motion]:
+        return _with_unique_names([(part, of(part, seed)) for part in _parts(spec)])
+
+    motions = several(spec, seed)
     if mirrored:
         motions = [copy for motion in motions for copy in (motion, motion.mirrored())]
     return motions
@@ -123,7 +134,7 @@ def _parts(spec: str | Sequence[str]) -> list[str]:
 def _choices() -> str:
     return (
         f"give {SYNTHETIC}, {', '.join(datasets.DATASETS)} (or with :train, :test), a library, "
-        f"a BVH or npz file, or a folder"
+        f"a BVH or npz file, a folder, or a part of a mixture file"
     )
 
 
@@ -263,7 +274,8 @@ def _code_digest() -> str:
     """Digest of the code and the body that clips depend on; a change invalidates the cache."""
     here = Path(__file__).parent
     others = (
-        "datasets inverse_dynamics library many motions_command naming spec variation vary_command"
+        "datasets inverse_dynamics library many mixture motions_command naming spec variation "
+        "vary_command"
     )
     sources = sorted(path for path in here.glob("*.py") if path.stem not in others.split())
     sources += [Path(str(module.__file__)) for module in (rotations, skeleton)]

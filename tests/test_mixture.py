@@ -1,0 +1,114 @@
+"""Mixture files: training and validation sets in one TOML file."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from questsim.errors import InputError
+from questsim.motion.mixture import read_mixture
+from questsim.motion.spec import load_motions, load_recordings
+from tests.command_line import ROOT, questsim
+
+MIXTURE = """
+[[validation]]
+motions = "synthetic:random:3"
+seed = 7
+count = 2
+
+[[validation]]
+motions = "walks.npz"
+include = ["*walk-0.*"]
+exclude = ["*walk-0.7"]
+exclude_list = "kept.txt"
+longest_s = 7
+
+[[train]]
+motions = "walks.npz"
+kind = "mine-{kind}"
+
+[[train]]
+motions = "synthetic:random:3"
+seed = 7
+
+[[train]]
+motions = "synthetic:random:3"
+seed = 8
+"""
+
+
+@pytest.fixture(scope="module")
+def mixture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A mixture of a library beside it and of synthetic motions."""
+    from questsim.motion.library import save_library
+
+    folder = tmp_path_factory.mktemp("mixture")
+    walks = load_motions("synthetic:walk")
+    save_library(folder / "walks.npz", load_recordings("synthetic:walk"), walks)
+    (folder / "kept.txt").write_text("synthetic-walk-0.9\n")
+    (folder / "mine.toml").write_text(MIXTURE)
+    return folder / "mine.toml"
+
+
+def test_parts_share_no_clip_and_clips_of_other_seeds_stay(mixture: Path) -> None:
+    validation = load_motions(f"{mixture}:validation")
+    train = load_motions(f"{mixture}:train")
+    assert [clip.name for clip in validation[2:]] == ["synthetic-walk-0.5"]
+    assert len(validation) == 3
+    assert len(train) == 11 + 1 + 3
+    assert not {c.qpos.tobytes() for c in validation} & {c.qpos.tobytes() for c in train}
+    assert {clip.kind for clip in train[:11]} == {"mine-walk"}
+
+
+def test_recordings_of_a_mixture_are_those_of_its_clips(mixture: Path) -> None:
+    clips, motions = load_motions(f"{mixture}:train"), load_recordings(f"{mixture}:train")
+    assert [clip.name for clip in clips] == [motion.name for motion in motions]
+    assert [clip.kind for clip in clips] == [motion.kind for motion in motions]
+
+
+def test_the_command_line_takes_a_part(mixture: Path) -> None:
+    run = questsim(mixture.parent, "motions", "list", "mine.toml:validation", "--clips")
+    assert run.code == 0, run.err
+    assert "synthetic-walk-0.5 " in run.out
+    assert "synthetic-walk-0.7 " not in run.out
+
+
+@pytest.mark.parametrize(
+    ("text", "part", "words"),
+    [
+        ("", "", ["has no part", "[[train]]"]),
+        ("[train]\nmotions = 'synthetic:walk'", "", ["not a list of tables", "[[train]]"]),
+        ("[[train]]\nmotion = 'a'", "", ["[[train]] number 1", "did you mean motions"]),
+        ("[[train]]\ncount = 3", "", ["has no motions"]),
+        ("[[train]]\nmotions = 'synthetic:walk'\ncount = 13", "", ["count is 13 of 12"]),
+        ("[[train]]\nmotions = 'synthetic:walk'\ncount = -1", "", ["count is -1"]),
+        ("[[train]]\nmotions = 'synthetic:walk'\ncount = true", "", ["count is of the wrong"]),
+        ("[[train]]\nmotions = 'synthetic:walk'\ninclude = ['run*']", "", ["fits 'run*'"]),
+        ("[[train]]\nmotions = 'synthetic:walk'\nexclude = ['*']", "", ["no clip is left"]),
+        ("[[train]]\nmotions = 'synthetic:walk'\nkind = '{x}'", "", ["kind is '{x}'"]),
+        ("[[train]]\nmotions = 'synthetic:walk'\nexclude_list = 'no.txt'", "", ["no.txt cannot"]),
+        ("[[train]]\nmotions = 'other.toml'", "", ["names a mixture file"]),
+        ("[[train]]\nmotions = 'nothing'", "", ["no motions 'nothing'"]),
+        ("[[train]]\nmotions = 'synthetic:walk'", ":test", ["no part 'test'", "it has train"]),
+        ("[[a]]\nmotions = 'x'\n[[b]]\nmotions = 'x'", "", ["several parts", ":a"]),
+        ("[[a]\n", "", ["cannot be read"]),
+    ],
+)
+def test_a_faulty_mixture_is_refused_in_one_line(
+    tmp_path: Path, text: str, part: str, words: list[str]
+) -> None:
+    (tmp_path / "mine.toml").write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_motions(f"{tmp_path / 'mine.toml'}{part}")
+    message = str(caught.value)
+    assert "\n" not in message
+    assert all(word in message for word in words), message
+
+
+def test_the_shipped_mixture_is_one() -> None:
+    file = ROOT / "docs" / "mixtures" / "wide.toml"
+    assert (
+        list(read_mixture(file)) == ["validation", "train"] == list(tomllib.loads(file.read_text()))
+    )
