@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from questsim.assets import mjcf_path
+from questsim.body_proportions import Proportions, deform
 from questsim.errors import InputError
 from questsim.skeleton import DOFS, LINKS
 
@@ -67,6 +68,7 @@ class Body:
         torque_limits: ``(33,)`` N m.
         damping: ``(33,)`` N m s/rad.
         substeps: physics steps in each 1/36 s step of the policy.
+        proportions: None for those of the default body.
     """
 
     model: mujoco.MjModel
@@ -75,10 +77,14 @@ class Body:
     torque_limits: np.ndarray
     damping: np.ndarray
     substeps: int
+    proportions: Proportions | None = None
 
 
 def build_body(
-    height_m: float = DEFAULT_HEIGHT_M, preset: str = "default", self_collision: bool = False
+    height_m: float = DEFAULT_HEIGHT_M,
+    preset: str = "default",
+    self_collision: bool = False,
+    proportions: Proportions | None = None,
 ) -> Body:
     """The avatar of a person ``height_m`` tall; bodies are cached, do not write to the model.
 
@@ -86,6 +92,8 @@ def build_body(
         height_m: stature, 1.2 to 2.2 m.
         preset: ``"default"`` or ``"paper"``.
         self_collision: whether links collide with each other, not only with the floor.
+        proportions: lengths of arms, legs and trunk and widths of shoulders and hips, on top of
+            the stature; None for those of the default body.
 
     Raises:
         InputError: height out of range or unknown preset.
@@ -97,13 +105,15 @@ def build_body(
         )
     if preset not in PRESETS:
         raise InputError(f"unknown body preset {preset!r}", fix=f"choose from {sorted(PRESETS)}")
-    return _build(round(float(height_m), 4), preset, bool(self_collision))
+    return _build(round(float(height_m), 4), preset, bool(self_collision), proportions)
 
 
 @lru_cache(maxsize=256)
-def _build(height_m: float, preset: str, self_collision: bool) -> Body:
+def _build(
+    height_m: float, preset: str, self_collision: bool, proportions: Proportions | None
+) -> Body:
     options = PRESETS[preset]
-    spec = scaled_spec(height_m, preset)
+    spec = scaled_spec(height_m, preset, proportions)
     if self_collision:
         let_links_collide(spec)
     model = spec.compile()
@@ -112,6 +122,7 @@ def _build(height_m: float, preset: str, self_collision: bool) -> Body:
         model=model,
         height_m=height_m,
         preset=preset,
+        proportions=proportions,
         torque_limits=model.actuator_ctrlrange[:, 1].copy(),
         damping=np.ravel(model.dof_damping)[6:].copy(),
         substeps=options.substeps,
@@ -126,18 +137,24 @@ def let_links_collide(spec: mujoco.MjSpec) -> None:
                 geom.conaffinity = 1
 
 
-def scaled_spec(height_m: float = DEFAULT_HEIGHT_M, preset: str = "default") -> mujoco.MjSpec:
+def scaled_spec(
+    height_m: float = DEFAULT_HEIGHT_M,
+    preset: str = "default",
+    proportions: Proportions | None = None,
+) -> mujoco.MjSpec:
     """The editable MjSpec behind ``build_body``, for scenes and viewers."""
     options = PRESETS[preset]
     ratio = height_m / DEFAULT_HEIGHT_M
     spec = mujoco.MjSpec.from_file(str(mjcf_path("humanoid.xml")))
     original = _default_model()
     spec.option.timestep = POLICY_TIMESTEP_S / options.substeps
-    for body in spec.bodies:
-        if body.name == "world":
-            continue
-        body.pos = body.pos * ratio
+    links = [body for body in spec.bodies if body.name != "world"]
+    for body in links:
         _scale_inertia(body, original, ratio, options)
+    if proportions is not None:
+        deform(spec, proportions)
+    for body in links:
+        body.pos = body.pos * ratio
         for geom in body.geoms:
             geom.pos, geom.size = geom.pos * ratio, geom.size * ratio
             if not np.isnan(geom.fromto[0]):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -23,8 +23,8 @@ from questsim.bodies.solver import Solver, turn_error
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
 from questsim.files import whole_file
-from questsim.motion.clip import FPS, Clip
-from questsim.motion.kinematics import central_difference, sole_points, standing_clip
+from questsim.motion.clip import Clip
+from questsim.motion.kinematics import clip_of_links, sole_points, standing_clip
 from questsim.skeleton import LINK_PARENTS, LINKS, NUM_DOFS
 
 _FIRST_STEPS, _NEXT_STEPS = 60, 8
@@ -73,6 +73,9 @@ def clip_for(body: OwnBody, clip: Clip) -> Clip:
     """
     if clip.link_position.shape[1:] != (len(LINKS), 3) or clip.qpos.shape[1] != 7 + NUM_DOFS:
         raise InputError("is not a clip of our avatar", clip.name, "give the user's own motion")
+    if clip.proportions is not None:
+        what = "proportions do not go with a body of your own"
+        raise InputError(what, clip.name, "leave the proportions out")
     digest = hashlib.sha256(_code_digest() + body.digest.encode() + f"{clip.height_m}".encode())
     digest.update(np.ascontiguousarray(clip.qpos, "<f8").tobytes())
     key = digest.hexdigest()[:32]
@@ -291,22 +294,9 @@ def poses_of(body: BodyMap, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def clip_of_poses(body: BodyMap, poses: np.ndarray, about: Clip) -> Clip:
     """A clip of the body in poses ``(T, 7 + D)`` at 36 Hz; name and origin are of ``about``."""
-    qpos = poses.copy()
-    qpos[:, 3:7] = rot.continuous(qpos[:, 3:7])
-    position, quat = poses_of(body, qpos)
-    quat = rot.continuous(quat)
-    velocity, angular = central_difference(position), rot.angular_velocity(quat, FPS)
-    root = rot.quat_rotate(rot.quat_conjugate(quat[:, 0]), angular[:, 0])
-    qvel = np.concatenate([velocity[:, 0], root, central_difference(qpos[:, 7:])], axis=-1)
-    return Clip(
-        name=about.name,
-        height_m=body.body.height_m,
-        qpos=qpos,
-        qvel=qvel,
-        link_position=position,
-        link_quat=quat,
-        link_velocity=velocity,
-        link_angular_velocity=angular,
+    position, quat = poses_of(body, poses)
+    return replace(
+        clip_of_links(about.name, poses, body.body.height_m, position, quat),
         contacts=about.contacts,
         source=about.source,
         source_sha256=about.source_sha256,

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from questsim.body_proportions import Proportions
+
 FPS = 36.0
 """Frames a second of every clip and of the policy (QuestSim section 4)."""
 
@@ -29,6 +31,7 @@ class Clip:
         link_angular_velocity: ``(T, 16, 3)`` in rad/s.
         contacts: ``(T, 2)`` bool, whether the left and the right foot bear on the floor.
         source, source_sha256, licence, kind, style: as in ``Motion``.
+        proportions: of the body that the numbers are for; None for the default body's.
     """
 
     name: str
@@ -45,6 +48,7 @@ class Clip:
     licence: str = ""
     kind: str = ""
     style: str = ""
+    proportions: Proportions | None = None
 
     def __len__(self) -> int:
         return len(self.qpos)

@@ -12,6 +12,7 @@ import numpy as np
 
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
+from questsim.body_proportions import Proportions
 from questsim.motion.clip import FPS
 from questsim.motion.kinematics import sole_points
 from questsim.motion.limbs import FLOOR_PERCENTILE, SIDES, ankle_rise, leg_ratio, root_path
@@ -59,7 +60,12 @@ def footing_of(ankles: np.ndarray, feet: np.ndarray, height: float, rise: float)
 
 
 def leg_targets(
-    motion: Motion, position: np.ndarray, quat: np.ndarray, height: float, rise: float
+    motion: Motion,
+    position: np.ndarray,
+    quat: np.ndarray,
+    height: float,
+    rise: float,
+    proportions: Proportions | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Path of the pelvis ``(T, 3)`` and ankle targets ``(T, 2, 3)``, over the file's floor.
 
@@ -67,9 +73,9 @@ def leg_targets(
     ankle is preserved, so that flat feet stay flat and lifted feet keep their height. The root is
     lowered by the difference of the ankle heights.
     """
-    ratio = leg_ratio(motion, height)
+    ratio = leg_ratio(motion, height, proportions)
     avatar_rise = -sole_points()[..., 2].mean() * height / DEFAULT_HEIGHT_M
-    root = root_path(motion, position, height)
+    root = root_path(motion, position, height, proportions)
     root[:, 2] += avatar_rise - ratio * rise
     up = rot.quat_rotate(quat[:, ANKLES], np.array([0.0, 0.0, 1.0]))
     soles = position[:, ANKLES] - rise * up

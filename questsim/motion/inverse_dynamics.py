@@ -12,6 +12,7 @@ from scipy.optimize import nnls
 
 from questsim.assets import mjcf_path
 from questsim.body import DEFAULT_HEIGHT_M, build_body
+from questsim.body_proportions import Proportions
 from questsim.files import whole_file
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.datasets import cache_dir
@@ -49,11 +50,17 @@ class InverseDynamics:
     Args:
         height_m: stature in metres.
         preset: of the body.
+        proportions: of the body.
     """
 
-    def __init__(self, height_m: float = DEFAULT_HEIGHT_M, preset: str = "default") -> None:
+    def __init__(
+        self,
+        height_m: float = DEFAULT_HEIGHT_M,
+        preset: str = "default",
+        proportions: Proportions | None = None,
+    ) -> None:
         # A copy without contacts and joint limits; contact forces are computed here.
-        self._model = copy.copy(build_body(height_m, preset).model)
+        self._model = copy.copy(build_body(height_m, preset, proportions=proportions).model)
         self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
         self._data = mujoco.MjData(self._model)
@@ -118,13 +125,19 @@ def reference_torques(clips: Sequence[Clip], preset: str = "default") -> np.ndar
     digest.update(mjcf_path("humanoid.xml").read_bytes())
     for clip in clips:
         digest.update(np.ascontiguousarray(clip.qpos, "<f8").tobytes())
+        if clip.proportions is not None:
+            digest.update(repr(clip.proportions.places).encode())
     path = cache_dir() / "torques" / f"{digest.hexdigest()[:32]}.npy"
     if path.exists():
         kept = np.load(path, allow_pickle=False)
         if kept.shape == (sum(map(len, clips)), NUM_DOFS):
             return kept
-    dynamics, limits = InverseDynamics(preset=preset), build_body(preset=preset).torque_limits
-    torques = np.concatenate([dynamics.torques(clip) / limits for clip in clips])
+    limits = build_body(preset=preset).torque_limits
+    dynamics = {
+        parts: InverseDynamics(preset=preset, proportions=parts)
+        for parts in dict.fromkeys(clip.proportions for clip in clips)
+    }
+    torques = np.concatenate([dynamics[c.proportions].torques(c) / limits for c in clips])
     torques = torques.astype(np.float32)
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as fresh, fresh.open("wb") as file:

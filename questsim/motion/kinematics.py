@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M, build_body
+from questsim.body_proportions import Proportions
 from questsim.motion.clip import FPS, Clip
 from questsim.skeleton import DOFS, FEET, LINK_PARENTS, LINKS, NUM_LINKS
 
@@ -18,9 +20,13 @@ CONTACT_SPEED_M_S = 0.8
 """... and slower than this; both for the default body, scaled with height."""
 
 
+def link_offsets(proportions: Proportions | None = None) -> np.ndarray:
+    """``(16, 3)`` each link's origin in its parent's frame, of the 1.75 m body, in metres."""
+    return _default_offsets() if proportions is None else proportions.array()
+
+
 @lru_cache(maxsize=1)
-def link_offsets() -> np.ndarray:
-    """``(16, 3)`` each link's origin in its parent's frame, of the default body, in metres."""
+def _default_offsets() -> np.ndarray:
     offsets = build_body().model.body_pos[1:].copy()
     offsets[0] = 0.0
     return offsets
@@ -54,7 +60,10 @@ def sole_points() -> np.ndarray:
 
 
 def link_poses(
-    qpos: np.ndarray, height_m: float, links: Sequence[int] = range(NUM_LINKS)
+    qpos: np.ndarray,
+    height_m: float,
+    links: Sequence[int] = range(NUM_LINKS),
+    proportions: Proportions | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions ``(T, n, 3)`` in metres and orientations ``(T, n, 4)`` of ``(T, 40)`` poses.
 
@@ -62,6 +71,7 @@ def link_poses(
         qpos: root position and quaternion, joint angles.
         height_m: the body's stature.
         links: indices of the links; by default all 16.
+        proportions: of the body.
     """
     needed = {0}
     for link in links:
@@ -69,7 +79,7 @@ def link_poses(
             needed.add(link)
             link = LINK_PARENTS[link]
     frames = len(qpos)
-    offsets = link_offsets() * (height_m / DEFAULT_HEIGHT_M)
+    offsets = link_offsets(proportions) * (height_m / DEFAULT_HEIGHT_M)
     position = np.empty((frames, NUM_LINKS, 3))
     quat = np.empty((frames, NUM_LINKS, 4))
     position[:, 0], quat[:, 0] = qpos[:, :3], qpos[:, 3:7]
@@ -98,16 +108,23 @@ def central_difference(values: np.ndarray, fps: float = FPS) -> np.ndarray:
     return np.gradient(values, 1.0 / fps, axis=0) if len(values) > 1 else np.zeros_like(values)
 
 
-def clip_from_qpos(name: str, qpos: np.ndarray, height_m: float, **about: str) -> Clip:
+def clip_from_qpos(
+    name: str,
+    qpos: np.ndarray,
+    height_m: float,
+    proportions: Proportions | None = None,
+    **about: str,
+) -> Clip:
     """A clip from ``(T, 40)`` poses at 36 Hz of the body of height ``height_m``.
 
     Args:
         name: the clip's name.
         qpos: root position (m), root quaternion wxyz, 33 joint angles (rad), in each row.
         height_m: the body's stature.
+        proportions: of the body.
         about: ``source``, ``source_sha256``, ``licence``, ``kind``, ``style``.
     """
-    return clips_from_qpos([name], [qpos], [height_m], [about])[0]
+    return clips_from_qpos([name], [qpos], [height_m], [about], [proportions])[0]
 
 
 def clips_from_qpos(
@@ -115,41 +132,47 @@ def clips_from_qpos(
     qpos: Sequence[np.ndarray],
     heights_m: Sequence[float],
     about: Sequence[dict[str, str]],
+    proportions: Sequence[Proportions | None] | None = None,
 ) -> list[Clip]:
     """``clip_from_qpos`` for many clips at once; much faster for short clips."""
     clips = []
-    for height in sorted(set(heights_m)):
-        chosen = [i for i, h in enumerate(heights_m) if h == height]
+    bodies = list(zip(heights_m, proportions or [None] * len(heights_m), strict=True))
+    for height, parts in dict.fromkeys(bodies):
+        chosen = [i for i, body in enumerate(bodies) if body == (height, parts)]
         rows = np.concatenate([np.asarray(qpos[i], float) for i in chosen])
         rows[:, 3:7] /= np.linalg.norm(rows[:, 3:7], axis=-1, keepdims=True)
-        position, quat = link_poses(rows, height)
+        position, quat = link_poses(rows, height, proportions=parts)
         ends = np.cumsum([len(qpos[i]) for i in chosen])
         starts = ends - [len(qpos[i]) for i in chosen]
         for i, start, end in zip(chosen, starts, ends, strict=True):
             part = slice(int(start), int(end))
-            clip = _clip(names[i], rows[part], height, position[part], quat[part], about[i])
-            clips.append((i, clip))
+            clip = clip_of_links(names[i], rows[part], height, position[part], quat[part])
+            found = foot_contacts(clip.link_position, clip.link_quat, height)
+            clips.append((i, replace(clip, contacts=found, proportions=parts, **about[i])))
     return [clip for _, clip in sorted(clips, key=lambda pair: pair[0])]
 
 
-def standing_clip(height_m: float, frames: int = 1) -> Clip:
+def standing_clip(height_m: float, frames: int = 1, proportions: Proportions | None = None) -> Clip:
     """A clip of the avatar standing upright at the origin, arms hanging, facing +x."""
     qpos = np.zeros((frames, 7 + len(DOFS)))
     qpos[:, 3] = 1.0
-    position, quat = link_poses(qpos[:1], height_m)
+    position, quat = link_poses(qpos[:1], height_m, proportions=proportions)
     feet = [LINKS.index(foot) for foot in FEET]
     qpos[:, 2] = -sole_positions(position[:, feet], quat[:, feet], height_m)[..., 2].min()
-    return clip_from_qpos("standing", qpos, height_m)
+    return clip_from_qpos("standing", qpos, height_m, proportions)
 
 
-def _clip(
-    name: str,
-    qpos: np.ndarray,
-    height_m: float,
-    position: np.ndarray,
-    quat: np.ndarray,
-    about: dict[str, str],
+def clip_of_links(
+    name: str, qpos: np.ndarray, height_m: float, position: np.ndarray, quat: np.ndarray
 ) -> Clip:
+    """A clip of any body from its poses and its links' at 36 Hz: velocities, no contacts.
+
+    Args:
+        name: the clip's name.
+        qpos: ``(T, 7 + D)`` root position (m), root quaternion wxyz, joint angles (rad).
+        height_m: the body's stature.
+        position, quat: ``(T, L, 3)``, ``(T, L, 4)`` of its links, the root first.
+    """
     qpos = qpos.copy()
     qpos[:, 3:7] = rot.continuous(qpos[:, 3:7])
     quat = rot.continuous(quat)
@@ -172,8 +195,7 @@ def _clip(
         link_quat=quat,
         link_velocity=velocity,
         link_angular_velocity=angular,
-        contacts=foot_contacts(position, quat, height_m),
-        **about,
+        contacts=np.zeros((len(qpos), 2), bool),
     )
 
 

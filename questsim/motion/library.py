@@ -14,12 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from questsim.body_proportions import Proportions
 from questsim.errors import InputError
 from questsim.files import whole_file
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.motion import Motion
 from questsim.motion.npz import open_npz
-from questsim.skeleton import DOFS, JOINT_PARENTS, JOINTS, LINKS, NUM_DOFS, NUM_JOINTS
+from questsim.skeleton import DOFS, JOINT_PARENTS, JOINTS, LINKS, NUM_DOFS, NUM_JOINTS, NUM_LINKS
 
 FORMAT, VERSION = "questsim-library", 1
 ABOUT = ("source", "source_sha256", "licence", "kind", "style")
@@ -69,6 +70,9 @@ def save_library(path: str | Path, motions: Sequence[Motion], clips: Sequence[Cl
         "clip_frames": np.array([len(c) for c in clips], int),
         "clip_qpos": _joined([c.qpos for c in clips], (7 + NUM_DOFS,)),
     }
+    if any(clip.proportions is not None for clip in clips):
+        places = [(c.proportions or Proportions()).array() for c in clips]
+        arrays["clip_places"] = np.array(places).reshape(-1, NUM_LINKS, 3)
     for key in ABOUT:
         arrays[f"motion_{key}"] = _strings([getattr(m, key) for m in motions])
         arrays[f"clip_{key}"] = _strings([getattr(c, key) for c in clips])
@@ -210,9 +214,26 @@ def _load_clips(archive: Any, path: Path, names: Container[str] | None) -> list[
         if not MIN_HEIGHT_M <= heights[i] <= MAX_HEIGHT_M:
             raise InputError(f"clip {parts['name'][i]} is {heights[i]:g} m tall", path, AGAIN)
         _unit(parts["qpos"][i][:, 3:7], f"clip {parts['name'][i]}", path)
+    bodies = _load_proportions(archive, path, len(heights))
     return clips_from_qpos(
         [parts["name"][i] for i in chosen],
         [parts["qpos"][i] for i in chosen],
         [float(heights[i]) for i in chosen],
         [{key: parts[key][i] for key in ABOUT} for i in chosen],
+        [bodies[i] for i in chosen],
     )
+
+
+def _load_proportions(archive: Any, path: Path, count: int) -> list[Proportions | None]:
+    """Of each clip; None for the default body's."""
+    if "clip_places" not in archive.files:
+        return [None] * count
+    places = _array(archive, path, "clip_places", "f", (NUM_LINKS, 3))
+    if len(places) != count:
+        raise InputError("clip_places does not fit clip_frames", path, AGAIN)
+    usual = Proportions()
+    try:
+        found = [Proportions(tuple(map(tuple, rows.tolist()))) for rows in places]
+    except InputError as error:
+        raise InputError(f"clip_places: {error}", path, AGAIN) from None
+    return [None if body == usual else body for body in found]

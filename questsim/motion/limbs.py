@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M, build_body
+from questsim.body_proportions import Proportions
 from questsim.motion.kinematics import link_offsets
 from questsim.motion.motion import Motion
 from questsim.skeleton import DOFS, JOINT_PARENTS, JOINTS, LINKS
@@ -43,28 +44,30 @@ def _dofs(*names: str) -> list[int]:
     return [DOFS.index(name) for name in names]
 
 
-def _link_offset(link: str, height: float) -> np.ndarray:
-    return link_offsets()[LINKS.index(link)] * (height / DEFAULT_HEIGHT_M)
+def _link_offset(link: str, height: float, proportions: Proportions | None = None) -> np.ndarray:
+    return link_offsets(proportions)[LINKS.index(link)] * (height / DEFAULT_HEIGHT_M)
 
 
-def _length(link: str, height: float) -> float:
+def _length(link: str, height: float, proportions: Proportions | None = None) -> float:
     """Metres from the parent's origin to the link's."""
-    return float(np.linalg.norm(_link_offset(link, height)))
+    return float(np.linalg.norm(_link_offset(link, height, proportions)))
 
 
-def leg_m(height: float) -> float:
+def leg_m(height: float, proportions: Proportions | None = None) -> float:
     """Metres from the avatar's hip to its ankle with the knee stretched."""
-    return _length("left_shin", height) + _length("left_foot", height)
+    return _length("left_shin", height, proportions) + _length("left_foot", height, proportions)
 
 
-def hips_of(root: np.ndarray, quat: np.ndarray, height: float) -> np.ndarray:
+def hips_of(
+    root: np.ndarray, quat: np.ndarray, height: float, proportions: Proportions | None = None
+) -> np.ndarray:
     """Positions ``(T, 2, 3)`` of the hips for a pelvis at ``root``, oriented as ``quat``."""
     pelvis = quat[:, joint_index("root")]
-    offsets = [_link_offset(f"{side}_thigh", height) for side in SIDES]
+    offsets = [_link_offset(f"{side}_thigh", height, proportions) for side in SIDES]
     return np.stack([root + rot.quat_rotate(pelvis, offset) for offset in offsets], axis=1)
 
 
-def leg_ratio(motion: Motion, height: float) -> float:
+def leg_ratio(motion: Motion, height: float, proportions: Proportions | None = None) -> float:
     """Ratio of the avatar's leg length (thigh and shin) to the motion's."""
     motion_leg = sum(
         np.linalg.norm(motion.offsets[joint_index(f"{side}_{part}")])
@@ -72,17 +75,19 @@ def leg_ratio(motion: Motion, height: float) -> float:
         for part in ("knee", "ankle")
     )
     avatar_leg = sum(
-        np.linalg.norm(_link_offset(f"{side}_{part}", height))
+        np.linalg.norm(_link_offset(f"{side}_{part}", height, proportions))
         for side in SIDES
         for part in ("shin", "foot")
     )
     return float(avatar_leg / motion_leg)
 
 
-def root_path(motion: Motion, position: np.ndarray, height: float) -> np.ndarray:
+def root_path(
+    motion: Motion, position: np.ndarray, height: float, proportions: Proportions | None = None
+) -> np.ndarray:
     """``(T, 3)`` path of the pelvis (midway between the hips) before floor placement."""
     hips = position[:, [joint_index("left_hip"), joint_index("right_hip")]].mean(axis=1)
-    return hips * leg_ratio(motion, height)
+    return hips * leg_ratio(motion, height, proportions)
 
 
 def _euler(relative: np.ndarray, order: str) -> np.ndarray:
@@ -172,13 +177,14 @@ def fill_leg(
     foot: np.ndarray,
     height: float,
     angles: np.ndarray,
+    proportions: Proportions | None = None,
 ) -> None:
     """Fill the six angles of a leg: ankle at ``ankle`` ``(T, 3)``, foot oriented as ``foot``."""
     pelvis = quat[:, joint_index("root")]
-    hip = hips_of(root, quat, height)[:, SIDES.index(side)]
+    hip = hips_of(root, quat, height, proportions)[:, SIDES.index(side)]
     knee_axis = rot.quat_rotate(quat[:, joint_index(f"{side}_hip")], np.array([0.0, 1.0, 0.0]))
-    thigh_length = _length(f"{side}_shin", height)
-    shin_length = _length(f"{side}_foot", height)
+    thigh_length = _length(f"{side}_shin", height, proportions)
+    shin_length = _length(f"{side}_foot", height, proportions)
     thigh, shin, knee = _two_bones(ankle - hip, knee_axis, thigh_length, shin_length, bend=1.0)
     angles[:, _dofs(f"{side}_hip_y", f"{side}_hip_x", f"{side}_hip_z")] = _euler(
         _relative(pelvis, thigh), "YXZ"
@@ -196,11 +202,12 @@ def fill_arm(
     links: dict[str, np.ndarray],
     height: float,
     angles: np.ndarray,
+    proportions: Proportions | None = None,
 ) -> None:
     """Fill the six angles of an arm; positions are relative, so the root does not matter."""
-    upper_length = _length(f"{side}_forearm", height)
-    lower_length = _length(f"{side}_hand", height)
-    shoulder = _link_offset(f"{side}_upper_arm", height)
+    upper_length = _length(f"{side}_forearm", height, proportions)
+    lower_length = _length(f"{side}_hand", height, proportions)
+    shoulder = _link_offset(f"{side}_upper_arm", height, proportions)
     span, centre = _arm_rest(motion)
     ratio = (abs(shoulder[1]) + upper_length + lower_length) / span
     spine = joint_index("spine3")

@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M, build_body
+from questsim.body_proportions import Proportions
 from questsim.errors import InputError
 from questsim.motion.checks import stature
 from questsim.motion.clip import FPS, Clip
@@ -32,6 +33,7 @@ from questsim.motion.limbs import (
     leg_ratio,
 )
 from questsim.motion.motion import Motion
+from questsim.motion.own_body import own_body
 from questsim.motion.stance import lowest_point, plant, sink_for_reach, smoothed
 from questsim.skeleton import (
     FOOT_LINKS,
@@ -42,16 +44,20 @@ from questsim.skeleton import (
 )
 
 
-def to_clip(motion: Motion, footing: Footing | None = None) -> Clip:
+def to_clip(
+    motion: Motion, footing: Footing | None = None, *, own_proportions: bool = False
+) -> Clip:
     """Retarget a motion to the avatar of the same stature, at 36 Hz, feet on the floor.
 
     Args:
         motion: the motion to retarget.
         footing: of another recording of the same person; the motion then keeps that floor, even
             if feet float or sink. By default it is measured from the motion, and no foot sinks.
+        own_proportions: give the avatar the person's own proportions, not only the stature.
 
     Raises:
-        InputError: the stature is outside the range of bodies.
+        InputError: the stature, or with ``own_proportions`` a part of the body, is outside the
+            range of bodies.
     """
     height = round(stature(motion), 3)
     if not MIN_HEIGHT_M <= height <= MAX_HEIGHT_M:
@@ -60,26 +66,28 @@ def to_clip(motion: Motion, footing: Footing | None = None) -> Clip:
             motion.source or motion.name,
             "declare --units",
         )
+    body = own_body(motion, height) if own_proportions else None
     motion = motion.resampled(FPS)
     position, quat = motion.forward_kinematics()
     angles = np.zeros((len(motion), NUM_DOFS))
     links = fill_trunk(quat, angles)
     for side in SIDES:
-        fill_arm(side, motion, position, quat, links, height, angles)
+        fill_arm(side, motion, position, quat, links, height, angles, body)
     rise = footing.rise_m if footing else ankle_rise(motion, position)
-    root, ankles = leg_targets(motion, position, quat, height, rise)
+    root, ankles = leg_targets(motion, position, quat, height, rise, body)
     feet = quat[:, ANKLES]
     used = footing or footing_of(ankles, feet, height, rise)
-    ankles, feet, bears = _place_on_floor(used, root, quat, ankles, feet, height)
+    ankles, feet, bears = _place_on_floor(used, root, quat, ankles, feet, height, body)
     lowest = lowest_point(ankles, feet, height)
     if footing is None:
         ankles[..., 2] += np.maximum(0.0, -lowest)
     allowed = np.minimum(lowest, 0.0) if footing else np.zeros_like(lowest)
-    qpos = _solve_legs(root, quat, ankles, feet, allowed, bears, height, angles)
+    qpos = solve_legs(root, quat, ankles, feet, allowed, bears, height, angles, body)
     return clip_from_qpos(
         motion.name,
         qpos,
         height,
+        body,
         source=motion.source,
         source_sha256=motion.source_sha256,
         licence=motion.licence,
@@ -95,6 +103,7 @@ def _place_on_floor(
     ankles: np.ndarray,
     feet: np.ndarray,
     height: float,
+    body: Proportions | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Put the floor at z = 0 and stance feet on it; the root ``(T, 3)`` is moved in place.
 
@@ -108,11 +117,12 @@ def _place_on_floor(
         return ankles, feet, np.zeros(ankles.shape[:2])
     ankles, feet, rise, stands = plant(footing.soles, ankles, feet, height)
     root[:, 2] += rise
-    root[:, 2] -= sink_for_reach(hips_of(root, quat, height), ankles, stands, leg_m(height))
+    hips = hips_of(root, quat, height, body)
+    root[:, 2] -= sink_for_reach(hips, ankles, stands, leg_m(height, body))
     return ankles, feet, smoothed(stands.astype(float))
 
 
-def _solve_legs(
+def solve_legs(
     root: np.ndarray,
     quat: np.ndarray,
     ankles: np.ndarray,
@@ -121,6 +131,7 @@ def _solve_legs(
     bears: np.ndarray,
     height: float,
     angles: np.ndarray,
+    body: Proportions | None,
 ) -> np.ndarray:
     """Solve the legs twice: the ankle's missing degrees of freedom may push a sole into the floor.
 
@@ -133,6 +144,7 @@ def _solve_legs(
         bears: ``(T, 2)`` how far each foot is planted.
         height: the avatar's stature.
         angles: ``(T, 33)``; those of the legs are filled.
+        body: the avatar's proportions.
 
     Returns:
         ``(T, 40)`` poses within the ranges of the hinges.
@@ -141,12 +153,12 @@ def _solve_legs(
     wanted = sole_positions(ankles, feet, height).mean(axis=-2)
     for attempt in (1, 2):
         for index, side in enumerate(SIDES):
-            fill_leg(side, root, quat, ankles[:, index], feet[:, index], height, angles)
+            fill_leg(side, root, quat, ankles[:, index], feet[:, index], height, angles, body)
         qpos = np.concatenate(
             [root, quat[:, 0], np.clip(angles, limits[:, 0], limits[:, 1])], axis=-1
         )
         if attempt == 1:
-            soles = sole_positions(*link_poses(qpos, height, FOOT_LINKS), height)
+            soles = sole_positions(*link_poses(qpos, height, FOOT_LINKS, body), height)
             ankles[..., 2] += np.maximum(allowed - soles[..., 2].min(axis=-1), 0.0)
             ankles[..., :2] += bears[..., None] * (wanted - soles.mean(axis=-2))[..., :2]
     return qpos
@@ -163,7 +175,7 @@ def mirror_clip(clip: Clip) -> Clip:
         if a in clip.kind:
             swapped = clip.kind.replace(a, b)
             break
-    mirrored = clip_from_qpos(f"{clip.name}-mirrored", qpos, clip.height_m)
+    mirrored = clip_from_qpos(f"{clip.name}-mirrored", qpos, clip.height_m, clip.proportions)
     return replace(
         mirrored,
         source=clip.source,
@@ -184,7 +196,7 @@ def retargeting_error(motion: Motion, clip: Clip) -> dict[str, float]:
     hips = position[:, [joint_index("left_hip"), joint_index("right_hip")]].mean(
         axis=1, keepdims=True
     )
-    expected = (position - hips) * leg_ratio(motion, clip.height_m)
+    expected = (position - hips) * leg_ratio(motion, clip.height_m, clip.proportions)
     got = clip.link_position - clip.link_position[:, :1]
     errors = {}
     for link, name in enumerate(LINK_JOINTS[1:], start=1):

@@ -6,6 +6,7 @@ import numpy as np
 
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
+from questsim.body_proportions import Proportions
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.kinematics import link_offsets
 from questsim.motion.limbs import ARM_REST, SIDES
@@ -31,10 +32,12 @@ def to_motion(clip: Clip) -> Motion:
     ratio = clip.height_m / DEFAULT_HEIGHT_M
     offsets = np.zeros((NUM_JOINTS, 3))
     for link, name in enumerate(LINK_JOINTS):
-        offsets[JOINTS.index(name)] = link_offsets()[link]
+        offsets[JOINTS.index(name)] = link_offsets(clip.proportions)[link]
     for name, place in _OFFSETS.items():
         offsets[JOINTS.index(name)] = place
-    world = _joint_orientations(clip)
+    if clip.proportions is not None:
+        _in_proportion(offsets, clip.proportions)
+    world = joint_orientations(clip)
     for side in SIDES:
         for name in ("elbow", "wrist"):
             joint = JOINTS.index(f"{side}_{name}")
@@ -58,7 +61,19 @@ def to_motion(clip: Clip) -> Motion:
     )
 
 
-def _joint_orientations(clip: Clip) -> np.ndarray:
+def _in_proportion(offsets: np.ndarray, proportions: Proportions) -> None:
+    """Move the joints of the chest that are not links, in place: its height and width differ."""
+    places, chest = proportions.array(), JOINTS.index("spine3")
+    offsets[chest, 2] *= proportions.stretch()[LINKS.index("chest"), 2]
+    offsets[JOINTS.index("neck")] = places[LINKS.index("head")] - offsets[chest]
+    for side in SIDES:
+        arm, width = places[LINKS.index(f"{side}_upper_arm")], proportions.parts()["shoulders"]
+        shoulder = JOINTS.index(f"{side}_shoulder")
+        offsets[shoulder] *= width
+        offsets[JOINTS.index(f"{side}_clavicle")] = arm - offsets[chest] - offsets[shoulder]
+
+
+def joint_orientations(clip: Clip) -> np.ndarray:
     """World orientations ``(T, 22, 4)`` of a motion's joints, from the clip's links."""
     world = np.empty((len(clip), NUM_JOINTS, 4))
     known = dict(zip(LINK_JOINTS, range(len(LINKS)), strict=True))

@@ -45,6 +45,7 @@ def load_motions(
     mirrored: bool = False,
     seed: int = 0,
     strict: bool = False,
+    own_proportions: bool = False,
 ) -> list[Clip]:
     """The avatar's clips that a motion argument names.
 
@@ -63,17 +64,23 @@ def load_motions(
         mirrored: add a mirrored copy of each clip after the clip itself.
         seed: of the synthetic motions.
         strict: reject a folder that contains an unusable file.
+        own_proportions: each clip's avatar has its performer's proportions, not only the stature.
+            Such clips are retargeted anew in each call; synthetic ones are of the default body.
 
     Raises:
         InputError: nothing has this name, a dataset is not fetched, a file named directly
-            is unusable, or all files of a folder are.
+            is unusable, or all files of a folder are; a library has clips without motions, or a
+            performer's body is none that the avatar can have, with ``own_proportions``.
     """
     from questsim.motion.retarget import mirror_clip
 
     def of(part: str, seed: int) -> list[Clip]:
         if is_mixture(part):
             return _with_unique_names(load_mixture(part, several, seed))
-        return _synthetic(part, seed) if _is_synthetic(part) else _load(part, True, strict).clips
+        if _is_synthetic(part):
+            return _synthetic(part, seed)
+        loaded = _load(part, not own_proportions, strict)
+        return _in_proportion(part, loaded.motions) if own_proportions else loaded.clips
 
     def several(spec: str | Sequence[str], seed: int) -> list[Clip]:
         return _with_unique_names([(part, of(part, seed)) for part in _parts(spec)])
@@ -84,6 +91,15 @@ def load_motions(
     if mirrored:
         clips = [copy for clip in clips for copy in (clip, mirror_clip(clip))]
     return clips
+
+
+def _in_proportion(part: str, motions: Sequence[Motion]) -> list[Clip]:
+    from questsim.motion.retarget import to_clip
+
+    if not motions:
+        what = "has no motions, whose bodies could be measured"
+        raise InputError(what, part, "import the files again with this version")
+    return [to_clip(motion, own_proportions=True) for motion in motions]
 
 
 def load_recordings(
@@ -274,8 +290,8 @@ def _code_digest() -> str:
     """Digest of the code and the body that clips depend on; a change invalidates the cache."""
     here = Path(__file__).parent
     others = (
-        "datasets inverse_dynamics library many mixture motions_command naming spec variation "
-        "vary_command"
+        "datasets inverse_dynamics library many mixture motions_command naming reproportion spec "
+        "variation vary_command"
     )
     sources = sorted(path for path in here.glob("*.py") if path.stem not in others.split())
     sources += [Path(str(module.__file__)) for module in (rotations, skeleton)]

@@ -119,6 +119,10 @@ def variations(
     tally: Tally | None = None,
 ) -> Iterator[Clip]:
     """The variations of these numbers, one after the other; see ``vary``."""
+    for clip in clips:
+        if clip.proportions is not None:
+            what = "variations are of the default body's proportions"
+            raise InputError(what, clip.name, "leave the proportions out")
     pool = _pool(clips, seed)
     tally = Tally() if tally is None else tally
     for number in numbers:

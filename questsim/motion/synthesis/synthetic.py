@@ -12,16 +12,15 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Container
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 from questsim.body import DEFAULT_HEIGHT_M, build_body
-from questsim.errors import InputError
-from questsim.motion.clip import FPS, Clip
+from questsim.motion.clip import Clip
 from questsim.motion.kinematics import clips_from_qpos
-from questsim.motion.synthesis.action_kinds import ACTIONS, LEAST_ACTION_S
+from questsim.motion.synthesis.action_kinds import ACTIONS
 from questsim.motion.synthesis.balance import jogging_height, settle, walking_height
 from questsim.motion.synthesis.feet import feet_paths
 from questsim.motion.synthesis.footwork import perform
@@ -30,50 +29,24 @@ from questsim.motion.synthesis.gestures import GESTURES, WALKABLE, Gesture
 from questsim.motion.synthesis.kept import kept_poses
 from questsim.motion.synthesis.plan import Path, loads, plan_steps, smoothstep, standing
 from questsim.motion.synthesis.posture import add_gesture, idle, locomotion, sway
-from questsim.motion.synthesis.seat import LEAST_SECONDS, seated_poses
+from questsim.motion.synthesis.seat import seated_poses
+from questsim.motion.synthesis.wish import (
+    KINDS,
+    MAX_SPEED,
+    MAX_WALK,
+    MIN_SPEED,
+    SEATED,
+    Wish,
+    check_seed,
+    checked,
+)
 
-MIN_SPEED, MAX_SPEED = 0.5, 3.5
-MAX_WALK, MIN_JOG = 2.2, 1.6
-"""m/s at 1.75 m; people change from walking to running near 2 m/s (Hreljac 1993)."""
-MIN_SYNTHETIC_HEIGHT_M, MAX_SYNTHETIC_HEIGHT_M = 1.4, 2.0
-MIN_SECONDS, MAX_SECONDS = 2.0, 60.0
-MAX_TURN, MAX_CENTRIPETAL = 1.5, 2.5
-"""rad/s at 1.75 m, and m/s^2 on a curve."""
 MARGIN_S = 2.5
 """A clip that begins or ends in mid-walk is generated this many seconds longer and cropped."""
 SHUFFLE_STRIDE_S, SHUFFLE_WIDTH_M = 1.1, 0.16
 """Side steps and turns on the spot: duration of a stride, and minimum distance of the feet."""
 MAX_STRIDE_TURN = 1.05
 """Maximum turn of the heading in a stride, in radians."""
-
-_SPEEDS: dict[str, tuple[float, float, float]] = {
-    "walk": (MIN_SPEED, 1.3, MAX_WALK),
-    "jog": (MIN_JOG, 2.6, MAX_SPEED),
-    "turn-left": (0.0, 1.0, 2.5),
-    "turn-right": (0.0, 1.0, 2.5),
-    "backwards": (0.3, 0.7, 1.1),
-    "side-left": (0.2, 0.4, 0.55),
-    "side-right": (0.2, 0.4, 0.55),
-}
-"""Kinds that travel: minimum, usual and maximum speed in m/s at 1.75 m."""
-
-KINDS: tuple[str, ...] = ("stand", *_SPEEDS, *GESTURES)
-"""Every kind of motion that needs only a floor."""
-SEATED: tuple[str, ...] = ("sit",)
-"""Kinds that need a chair; they are not in the library of ``synthetic_clips``."""
-
-
-@dataclass(frozen=True)
-class _Wish:
-    """A clip to make: of the default body, in its own time (see the module's docstring)."""
-
-    kind: str
-    seconds: float
-    rate: float
-    speed: float
-    turn_rate: float
-    start: bool
-    stop: bool
 
 
 def synthesise(
@@ -105,8 +78,8 @@ def synthesise(
     Raises:
         InputError: unknown kind, or a value out of range.
     """
-    wish = _checked(kind, speed, turn_rate, duration, height_m, start, stop)
-    _check_seed(seed)
+    wish = checked(kind, speed, turn_rate, duration, height_m, start, stop)
+    check_seed(seed)
     qpos = _poses(wish, np.random.default_rng([seed, zlib.crc32(kind.encode())]))
     if name is None:
         parts = ["synthetic", kind]
@@ -135,67 +108,7 @@ def _clips(made: list[tuple[str, str, np.ndarray, float]]) -> list[Clip]:
     return clips_from_qpos([m[0] for m in made], scaled, [m[3] for m in made], about)
 
 
-def _checked(
-    kind: str,
-    speed: float | None,
-    turn_rate: float | None,
-    duration: float,
-    height_m: float,
-    start: bool,
-    stop: bool,
-) -> _Wish:
-    if kind not in (*KINDS, *ACTIONS, *SEATED):
-        known = ", ".join((*KINDS, *ACTIONS, *SEATED))
-        raise InputError(f"unknown kind of synthetic motion {kind!r}", fix=f"choose from {known}")
-    _within("height", height_m, MIN_SYNTHETIC_HEIGHT_M, MAX_SYNTHETIC_HEIGHT_M, "m")
-    _within("duration", duration, MIN_SECONDS, MAX_SECONDS, "s")
-    pace = float(np.sqrt(height_m / DEFAULT_HEIGHT_M))
-    if kind in SEATED or kind in ACTIONS:
-        least_s = LEAST_SECONDS if kind in SEATED else LEAST_ACTION_S
-        _within("duration", duration, least_s * pace, MAX_SECONDS, "s")
-        if start or stop:
-            raise InputError(f"{kind} begins and ends standing", fix="leave start and stop out")
-    if speed is not None and kind not in (*_SPEEDS, *WALKABLE):
-        raise InputError(f"{kind} has no speed", fix="leave the speed out")
-    least, usual, most = _SPEEDS.get(kind, _SPEEDS["walk"])
-    if speed is None:
-        speed = usual * pace if kind in _SPEEDS else 0.0
-    elif kind == "walk":
-        _within("walking speed", speed, MIN_SPEED, most * pace, "m/s")
-    elif kind == "jog":
-        _within("jogging speed", speed, least * pace, MAX_SPEED, "m/s")
-    else:
-        _within(f"speed of {kind}", speed, least * pace, most * pace, "m/s")
-    if kind.startswith("turn"):
-        turn_rate = 0.8 if turn_rate is None else turn_rate
-        _within("turn rate", turn_rate, 0.1, MAX_TURN / pace, "rad/s")
-        _within("speed times turn rate", speed * turn_rate, 0.0, MAX_CENTRIPETAL, "m/s^2")
-    elif turn_rate is not None:
-        raise InputError(f"{kind} has no turn rate", fix="use turn-left or turn-right")
-    if (start or stop) and (kind == "jog" or speed > MAX_WALK * pace):
-        raise InputError("a jog neither starts nor stops", fix="leave start and stop out")
-    return _Wish(
-        kind=kind,
-        seconds=duration / pace,
-        rate=FPS * pace,
-        speed=speed / pace,
-        turn_rate=(turn_rate or 0.0) * pace,
-        start=start,
-        stop=stop,
-    )
-
-
-def _check_seed(seed: int) -> None:
-    if seed < 0:
-        raise InputError(f"seed {seed} is below zero")
-
-
-def _within(what: str, value: float, least: float, most: float, unit: str) -> None:
-    if not least - 1e-9 <= value <= most + 1e-9:
-        raise InputError(f"{what} {value:g} {unit} is outside {least:g}-{most:g} {unit}")
-
-
-def _poses(wish: _Wish, rng: np.random.Generator) -> np.ndarray:
+def _poses(wish: Wish, rng: np.random.Generator) -> np.ndarray:
     """Poses ``(T, 40)`` of the default body."""
     kind = wish.kind
     gesture = GESTURES.get(kind)
@@ -231,7 +144,7 @@ def _hip_height() -> float:
     return float(build_body().model.body("pelvis").pos[2])
 
 
-def _frames(wish: _Wish, margin_s: float) -> tuple[np.ndarray, slice]:
+def _frames(wish: Wish, margin_s: float) -> tuple[np.ndarray, slice]:
     """Times ``(T,)`` with a margin around the clip, and the clip among them."""
     frames = int(np.floor(wish.seconds * wish.rate + 1e-6)) + 1
     margin = int(np.ceil(margin_s * wish.rate))
@@ -262,7 +175,7 @@ def _personal(gait: Gait, rng: np.random.Generator) -> Gait:
 
 
 def _travel(
-    wish: _Wish, rng: np.random.Generator, forward: float, left: float, turn: float
+    wish: Wish, rng: np.random.Generator, forward: float, left: float, turn: float
 ) -> np.ndarray:
     """Poses of a body that travels at a velocity (m/s) and a turn rate (rad/s)."""
     time, shown = _frames(wish, MARGIN_S)
@@ -307,7 +220,7 @@ def _travel(
     return settle(posture, feet, height, cop, time, jog, shown)[shown]
 
 
-def _stand(wish: _Wish, rng: np.random.Generator) -> np.ndarray:
+def _stand(wish: Wish, rng: np.random.Generator) -> np.ndarray:
     """Poses of a body that stands, sways and gestures."""
     time, shown = _frames(wish, 1.0)
     frames = len(time)
@@ -350,7 +263,7 @@ def synthetic_clips(
     Raises:
         InputError: a height is outside 1.4 to 2.0 m, or the seed is below zero.
     """
-    _check_seed(seed)
+    check_seed(seed)
     clips = []
     for height in heights:
         pace = float(np.sqrt(height / DEFAULT_HEIGHT_M))
@@ -363,7 +276,7 @@ def synthetic_clips(
                 given["speed"] = max(min(speed, MAX_SPEED), MIN_SPEED if kind == "walk" else 0.0)
             if "turn_rate" in given:
                 given["turn_rate"] = float(given["turn_rate"]) / pace
-            wish = _checked(
+            wish = checked(
                 kind,
                 given.get("speed"),
                 given.get("turn_rate"),
@@ -388,11 +301,11 @@ def seated_clips(seed: int = 0) -> list[Clip]:
     Raises:
         InputError: the seed is below zero.
     """
-    _check_seed(seed)
+    check_seed(seed)
     clips = []
     for kind in SEATED:
         for number in range(4):
-            wish = _checked(kind, None, None, 8.0, DEFAULT_HEIGHT_M, False, False)
+            wish = checked(kind, None, None, 8.0, DEFAULT_HEIGHT_M, False, False)
             seeds = (seed, zlib.crc32(kind.encode()), number)
             name = f"synthetic-{kind}-{number + 1}"
             clips.append(_kept_clip(name, wish, DEFAULT_HEIGHT_M, seeds))
@@ -400,7 +313,7 @@ def seated_clips(seed: int = 0) -> list[Clip]:
 
 
 @lru_cache(maxsize=512)
-def _kept_clip(name: str, wish: _Wish, height_m: float, seeds: tuple[int, ...]) -> Clip:
+def _kept_clip(name: str, wish: Wish, height_m: float, seeds: tuple[int, ...]) -> Clip:
     """A cached clip of the library; callers get writable copies."""
     poses = kept_poses(f"{wish} {seeds}", lambda: _poses(wish, np.random.default_rng(list(seeds))))
     return _clips([(name, wish.kind, poses, height_m)])[0]
