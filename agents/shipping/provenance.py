@@ -13,6 +13,7 @@ from agents.licence import strictest
 from agents.policy.checkpoint import CARD_FILE, find_policy, find_teacher, read_card
 from agents.run_folder import RECORD, default_of, plain, read_run
 from agents.training.options import TrainArgs
+from agents.training.specialists import read_specialist
 from questsim.errors import InputError
 from questsim.motion.naming import split_parts
 
@@ -22,7 +23,17 @@ STAGES = ("teacher", "student", "finetune")
 RECORDED = ("stage", "steps", "minutes", "motions", "licences", "seed", "clips", "seconds")
 """Required keys of a policy's ``training``, which every training writes."""
 
-NOT_REPEATED = ("out", "stage", "minutes", "steps", "resume", "teacher", "start", "threads")
+NOT_REPEATED = (
+    "out",
+    "stage",
+    "minutes",
+    "steps",
+    "resume",
+    "teacher",
+    "specialists",
+    "start",
+    "threads",
+)
 """Options that the printed commands set themselves, or that do not affect learning."""
 
 
@@ -122,7 +133,7 @@ def _stages(folder: Path, training: dict[str, Any]) -> list[StagePart]:
         )
         taught = (own, _training(own)) if own else _origin(record, stage, "teacher")
         assert taught is not None
-        before.append(taught)
+        before += [*_specialists(record, stage), taught]
     if start:
         before.append(start)
     elif stage == "finetune":
@@ -148,6 +159,18 @@ def _origin(
     return folder, entry.get("behind", {}).get(option) or _training(folder)
 
 
+def _specialists(record: Mapping[str, Any], stage: str) -> list[tuple[Path, dict[str, Any]]]:
+    """The specialists of a student's run, and their descriptions at that time."""
+    entry = _entry_with(record, stage, "specialists")
+    if entry is None:
+        return []
+    found = []
+    for text in entry["args"]["specialists"]:
+        folder = find_teacher(read_specialist(text).where)
+        found.append((folder, entry.get("behind", {}).get(text) or _training(folder)))
+    return found
+
+
 def recorded_option(record: Mapping[str, Any], stage: str, option: str) -> Any:
     """The value of an option when ``stage`` of a run was started.
 
@@ -164,7 +187,8 @@ def _entry_with(record: Mapping[str, Any], stage: str, option: str) -> Mapping[s
     """The part of a record, initial or resumed, that has an option for a stage."""
     for entry in (record, *record.get("resumed", ())):
         args = entry["args"]
-        mine = (stage, "all") if stage == "teacher" or option == "teacher" else (stage,)
+        both = stage == "teacher" or option in ("teacher", "specialists")
+        mine = (stage, "all") if both else (stage,)
         if args.get("stage") in mine and args.get(option):
             return entry
     return None
@@ -264,6 +288,12 @@ def commands(parts: Sequence[StagePart]) -> list[str]:
         for option in ("teacher", "start") if stage == "student" else ("start",):
             if origin := _origin(record, stage, option):
                 words += [f"--{option}", _run_name(*origin, names, parts)]
+        special = _specialists(record, stage) if stage == "student" else []
+        if special:
+            texts = recorded_option(record, stage, "specialists")
+            kinds = [text.rpartition(":")[2] for text in texts]
+            runs = [_run_name(*origin, names, parts) for origin in special]
+            words += ["--specialists", *map(":".join, zip(runs, kinds, strict=True))]
         if run in begun:
             words.append("--resume")
         begun.add(run)

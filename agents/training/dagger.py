@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from agents.policy.networks import TorquePolicy
 from agents.policy.policy_agent import PolicyAgent
 from agents.training.learner import StepObserver, TrainingError
-from agents.training.players import StudentPlayer
+from agents.training.players import Labels, StudentPlayer
 from agents.training.workers import Workers
 
 
@@ -88,6 +88,7 @@ class Dagger:
         config: see ``DaggerConfig``.
         seed: seed of mixing, noise and minibatches.
         threads: parallel threads; the result does not depend on their number.
+        labels: gives the actions in place of ``teacher``, which then only sets noise and weights.
     """
 
     def __init__(
@@ -98,6 +99,7 @@ class Dagger:
         config: DaggerConfig,
         seed: int,
         threads: int = 1,
+        labels: Labels | None = None,
     ) -> None:
         self.env, self.teacher, self.policy, self.config = env, teacher.policy, student, config
         # Labels are computed in float32; only the student's training uses low precision.
@@ -113,7 +115,7 @@ class Dagger:
         self.player = (
             env.student_player(self.teacher, student, exploration)  # pyright: ignore
             if hasattr(env, "student_player")
-            else StudentPlayer(env, self.teacher, student, exploration, seed, self._workers)
+            else StudentPlayer(env, self.teacher, student, exploration, seed, self._workers, labels)
         )
 
     def iterate(self, observe: StepObserver, progress: float) -> dict[str, float]:

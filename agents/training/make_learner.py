@@ -12,12 +12,13 @@ from torch import Tensor
 from agents.policy.balance import PUSHES
 from agents.policy.checkpoint import find_policy, find_teacher, load_critic, load_policy
 from agents.policy.networks import TorquePolicy
-from agents.policy.policy_agent import check_body, new_policy
+from agents.policy.policy_agent import PolicyAgent, check_body, new_policy
 from agents.policy.spec import Layout, initial_gains, noise_by_joint
 from agents.training.dagger import Dagger, DaggerConfig
 from agents.training.learner import Learner
 from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PPOConfig, StageConfig
+from agents.training.specialists import Teachers, load_specialist, read_specialist
 from envs import QuestVecEnv
 from questsim.bodies import OwnBody
 from questsim.errors import InputError
@@ -120,7 +121,20 @@ def _student(
         # The student starts from the stiffness that the teacher learnt.
         student.head.load_state_dict(teacher.policy.head.state_dict(), strict=False)
     student.log_std.data.copy_(teacher.policy.log_std.data)
-    return Dagger(env, teacher, student, learning, seed, args.threads)
+    return Dagger(
+        env, teacher, student, learning, seed, args.threads, _specialists(args, teacher, env)
+    )
+
+
+def _specialists(
+    args: TrainArgs, general: PolicyAgent, env: QuestVecEnv | ActorPool
+) -> Teachers | None:
+    if not args.specialists:
+        return None
+    assert isinstance(env, QuestVecEnv)  # with --workers they are refused before
+    read = [read_specialist(text) for text in args.specialists]
+    policies = [(load_specialist(s, general, env), s.kinds) for s in read]
+    return Teachers(general.policy, policies, env)
 
 
 def _starting_policy(where: Path, env: QuestVecEnv | ActorPool) -> TorquePolicy:

@@ -34,6 +34,9 @@ class TrainArgs:
     """Resume the run in --out."""
     teacher: Path | None = None
     """A teacher for the student stage: a folder or a shipped name; by default the run's own."""
+    specialists: tuple[str, ...] = ()
+    """With --stage student: teachers to ask instead of --teacher for clips of some kinds, each as
+    FOLDER:KIND+KIND; kinds may be patterns (runs/steps:backwards+side-*)."""
     start: Path | None = None
     """A teacher, by folder or shipped name, whose weights initialise the new teacher; with --stage
     student or finetune, a policy (a run, a stage, a shipped name) to train further."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -19,6 +19,14 @@ Truncated = list[tuple[int, int, np.ndarray]]
 """Step, environment and last observation of each episode truncated at the end of its reference."""
 AfterStep = Callable[[np.ndarray, np.ndarray, list[dict[str, Any]]], bool]
 """Called after each step with rewards ``(n,)``, dones ``(n,)`` and infos; False stops it."""
+
+
+class Labels(Protocol):
+    """Anything that has mean actions for observations."""
+
+    def action_mean(self, observations: Tensor, /) -> Tensor:
+        """Mean actions ``(n, 33)`` for observations ``(n, D)``."""
+        ...
 
 
 class _Player:
@@ -99,6 +107,7 @@ class StudentPlayer(_Player):
         exploration: noise on the executed actions, as a share of the teacher's own noise.
         seed: seed of the noise and of the choice between teacher and student.
         workers: threads of the networks.
+        labels: gives the actions in place of ``teacher``, whose noise is still used.
     """
 
     def __init__(
@@ -109,9 +118,11 @@ class StudentPlayer(_Player):
         exploration: float,
         seed: int,
         workers: Workers,
+        labels: Labels | None = None,
     ) -> None:
         super().__init__(env, seed, workers)
-        self.teacher, self.student, self._exploration = teacher, student, exploration
+        self.student, self._exploration = student, exploration
+        self._labels: Labels = teacher if labels is None else labels
         self.inputs = max(stop for _, stop in student.layout.blocks.values())
         self.noise = teacher.log_std.detach().exp()
 
@@ -132,7 +143,7 @@ class StudentPlayer(_Player):
             # The teacher observes the true motion, even where the student observes an estimate.
             truth = torch.from_numpy(getattr(self.env, "true_observation", self.observation))
             label, own = self._workers.run(
-                partial(_mean, self.teacher, truth), partial(_mean, self.student, obs)
+                partial(_mean, self._labels, truth), partial(_mean, self.student, obs)
             )
             noise = torch.randn(label.shape, generator=self.generator) * self.noise
             action = torch.where(by_teacher, label, own) + self._exploration * noise
@@ -144,7 +155,7 @@ class StudentPlayer(_Player):
         return torch.cat(visited), torch.cat(labels)
 
 
-def _mean(policy: TorquePolicy, obs: Tensor) -> Tensor:
+def _mean(policy: Labels, obs: Tensor) -> Tensor:
     """Mean actions ``(n, 33)``, clipped as the environment would."""
     with torch.no_grad():
         return policy.action_mean(obs).clamp_(-1.0, 1.0)

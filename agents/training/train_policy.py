@@ -38,6 +38,7 @@ from agents.training.options import TrainArgs
 from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PRESETS, PPOConfig, Preset, StageConfig, shown_estimates
 from agents.training.rollout_worker import BatchSpec
+from agents.training.specialists import read_specialist
 from agents.training.stage import Budget, Stage, Stopper
 from agents.training.start_estimates import start_estimates
 from envs.config import EnvConfig
@@ -65,6 +66,7 @@ MAY_DIFFER_ON_RESUME = {
     "log",
     "out",
     "teacher",
+    "specialists",
     "set",
     "start",
 }
@@ -76,7 +78,12 @@ def train(args: TrainArgs) -> int:
     Raises:
         InputError: for options, motions or a run folder that cannot be used.
     """
-    args = replace(args, teacher=from_anywhere(args.teacher), start=from_anywhere(args.start))
+    args = replace(
+        args,
+        teacher=from_anywhere(args.teacher),
+        start=from_anywhere(args.start),
+        specialists=tuple(str(read_specialist(text)) for text in args.specialists),
+    )
     _refuse_unused(args)
     check_logger(args.log)
     at_least(1, threads=args.threads, envs=args.envs, steps=args.steps, redraw=args.redraw)
@@ -101,9 +108,9 @@ def train(args: TrainArgs) -> int:
     def begin() -> None:
         # Written only now: refused options or motions must not leave a run behind.
         if not (args.out / RECORD).exists():
-            start_run(args.out, args, preset, data, shipped_behind(args.start, args.teacher))
+            start_run(args.out, args, preset, data, shipped_behind(args))
         elif not noted:
-            note_resume(args.out, args, preset, shipped_behind(args.start, args.teacher))
+            note_resume(args.out, args, preset, shipped_behind(args))
         noted.append(True)
 
     noted: list[bool] = []
@@ -131,11 +138,21 @@ def _refuse_unused(args: TrainArgs) -> None:
     for option, stages in uses.items():
         if getattr(args, option) is not None and args.stage not in stages:
             raise InputError(f"does not go with --stage {args.stage}", f"--{option}")
+    if args.specialists and args.stage not in uses["teacher"]:
+        raise InputError(f"does not go with --stage {args.stage}", "--specialists")
+    if args.specialists and args.workers:
+        raise InputError("does not go with --workers", "--specialists", "leave one out")
+    if args.specialists and args.preset == "paper":
+        raise InputError("does not go with --preset paper: it has no student", "--specialists")
 
 
-def shipped_behind(start: Path | None, teacher: Path | None) -> dict[str, Any]:
-    """Training records of the shipped policies named by ``--start`` and ``--teacher``."""
-    named = {"start": start, "teacher": teacher}
+def shipped_behind(args: TrainArgs) -> dict[str, Any]:
+    """Training records of the shipped policies from which a training starts or learns.
+
+    Keys are ``start``, ``teacher``, and the text of each specialist.
+    """
+    named = {"start": args.start, "teacher": args.teacher}
+    named |= {text: read_specialist(text).where for text in args.specialists}
     found = {option: find_policy(name) for option, name in named.items() if name is not None}
     cards = {option: read_card(folder).get("training", {}) for option, folder in found.items()}
     # A run folder has its own record.
