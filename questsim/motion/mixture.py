@@ -220,7 +220,7 @@ def _entry(table: dict[str, Any], path: Path, where: str) -> Entry:
             f"kind is {table['kind']!r}", place, "use {kind}, {style}, {name}"
         ) from None
     motions = ",".join(_beside(path, piece) for piece in table["motions"].split(","))
-    values = {k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}
+    values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}
     return Entry(**values | {"motions": motions})
 
 
