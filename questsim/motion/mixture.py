@@ -221,7 +221,8 @@ def _entry(table: dict[str, Any], path: Path, where: str) -> Entry:
         ) from None
     motions = ",".join(_beside(path, piece) for piece in table["motions"].split(","))
     values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}
-    return Entry(**values | {"motions": motions})
+    values["motions"] = motions
+    return Entry(**values)
 
 
 def _beside(path: Path, piece: str) -> str:
