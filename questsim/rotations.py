@@ -37,17 +37,15 @@ def matrix_to_quat(matrix: np.ndarray) -> np.ndarray:
 def quat_multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Hamilton product of quaternions wxyz, broadcast: first ``b``, then ``a``."""
     a, b = np.asarray(a, float), np.asarray(b, float)
-    aw, ax, ay, az = (a[..., i] for i in range(4))
-    bw, bx, by, bz = (b[..., i] for i in range(4))
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=-1,
-    )
+    aw, ax, ay, az = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
+    bw, bx, by, bz = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
+    first = aw * bw - ax * bx - ay * by - az * bz
+    out = np.empty((*np.shape(first), 4))
+    out[..., 0] = first
+    out[..., 1] = aw * bx + ax * bw + ay * bz - az * by
+    out[..., 2] = aw * by - ax * bz + ay * bw + az * bx
+    out[..., 3] = aw * bz + ax * by - ay * bx + az * bw
+    return out
 
 
 def quat_conjugate(quat: np.ndarray) -> np.ndarray:
@@ -58,20 +56,18 @@ def quat_conjugate(quat: np.ndarray) -> np.ndarray:
 def quat_rotate(quat: np.ndarray, vec: np.ndarray) -> np.ndarray:
     """Vectors ``(..., 3)`` turned by quaternions wxyz ``(..., 4)``, broadcast."""
     quat, vec = np.asarray(quat, float), np.asarray(vec, float)
-    w, qx, qy, qz = (quat[..., i] for i in range(4))
-    x, y, z = (vec[..., i] for i in range(3))
+    w, qx, qy, qz = quat[..., 0], quat[..., 1], quat[..., 2], quat[..., 3]
+    x, y, z = vec[..., 0], vec[..., 1], vec[..., 2]
     # v + w t + q x t with t = 2 q x v, by component: np.cross takes twice as long.
     tx = 2.0 * (qy * z - qz * y)
     ty = 2.0 * (qz * x - qx * z)
     tz = 2.0 * (qx * y - qy * x)
-    return np.stack(
-        [
-            x + w * tx + (qy * tz - qz * ty),
-            y + w * ty + (qz * tx - qx * tz),
-            z + w * tz + (qx * ty - qy * tx),
-        ],
-        axis=-1,
-    )
+    first = x + w * tx + (qy * tz - qz * ty)
+    out = np.empty((*np.shape(first), 3))
+    out[..., 0] = first
+    out[..., 1] = y + w * ty + (qz * tx - qx * tz)
+    out[..., 2] = z + w * tz + (qx * ty - qy * tx)
+    return out
 
 
 def quat_to_6d(quat: np.ndarray) -> np.ndarray:

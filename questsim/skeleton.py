@@ -6,6 +6,8 @@ Axes everywhere: x forward, y left, z up.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 JOINTS: tuple[str, ...] = (
@@ -22,6 +24,23 @@ JOINT_PARENTS: tuple[int, ...] = (
     0, 0, 1, 2, 3, 0, 5, 6, 7, 0, 9, 10, 11, 12, 11, 14, 15, 16, 11, 18, 19, 20,
 )  # fmt: skip
 """Parent of each joint; the root is its own parent."""
+
+
+@lru_cache(maxsize=64)
+def generations(parents: tuple[int, ...]) -> tuple[tuple[list[int], list[int]], ...]:
+    """Joints of equal depth, with their parents, from the children of the roots downwards.
+
+    Forward kinematics over whole generations is faster than joint by joint.
+
+    Args:
+        parents: index of each joint's parent, which comes before it; a root's is -1 or its own.
+    """
+    depth: list[int] = []
+    for joint, parent in enumerate(parents):
+        depth.append(0 if parent in (-1, joint) else depth[parent] + 1)
+    levels = [[j for j, d in enumerate(depth) if d == level] for level in range(1, max(depth) + 1)]
+    return tuple((joints, [parents[j] for j in joints]) for joints in levels)
+
 
 LINKS: tuple[str, ...] = (
     "pelvis",

@@ -16,9 +16,10 @@ from mocap_files import (
 )
 
 from questsim.errors import InputError
-from questsim.motion.checks import centre_of_mass, check, free_fall, refuse, stature
+from questsim.motion.checks import centre_of_mass, check, free_fall, jumps, refuse, stature
 from questsim.motion.motion import Motion
 from questsim.motion.reading import ReadOptions, read_motion
+from questsim.rotations import quat_multiply, yaw_quat
 from questsim.skeleton import JOINTS, MIRROR_JOINTS
 
 
@@ -88,6 +89,18 @@ def test_a_root_that_jumps_is_refused(tmp_path):
     root[5:, 0] = 500.0
     with pytest.raises(InputError, match="150 m/s at frame 4"):
         read_motion(write_bvh(tmp_path / "a.bvh", LAFAN1_JOINTS, root, LAFAN1_T_POSE))
+
+
+def test_a_pelvis_that_turns_faster_than_anyone_is_named(person):
+    motion, _ = read_motion(person)
+    assert jumps(motion) == ""
+    rotations = motion.rotations.copy()
+    half_turn = yaw_quat(np.radians(150.0))
+    rotations[12:20, 0] = quat_multiply(half_turn, rotations[12:20, 0])
+    found = jumps(replace(motion, rotations=rotations))
+    assert (
+        found == "the pelvis turns by 150 deg from frame 11 to the next: the file jumps in 2 places"
+    )
 
 
 def jump(person: Path, fps: float) -> Motion:

@@ -20,6 +20,7 @@ from questsim.motion.retarget_stream import StreamRetargeter
 from questsim.motion.spec import load_motions
 from questsim.motion.stance import Soles, from_lean, lean, lowest_point, measure_soles, plant
 from questsim.motion.stance_figures import stance_figures
+from questsim.motion.stance_stream import StancePlanter
 from questsim.skeleton import DOFS, FOOT_LINKS, JOINTS
 
 HEIGHT = 1.75
@@ -182,13 +183,54 @@ def test_a_foot_that_rolls_keeps_its_pitch() -> None:
     np.testing.assert_allclose(pitch[:28], 0.0, atol=np.radians(0.5))
 
 
+def test_feet_that_a_file_turns_but_whose_ankles_are_low_lie_flat(walk: Clip) -> None:
+    """As in SIE's runs: the sole points down by 25 degrees, but the ankle is as low as if flat."""
+    ankles, _ = standing(60)
+    tiptoe = np.tile(from_lean(np.zeros(2), np.radians([25.0, 21.0]), np.zeros(2)), (60, 1, 1))
+    found = measure_soles(ankles, tiptoe, HEIGHT, ANKLE_M)
+    planted, flat, _, stands = plant(found, ankles, tiptoe, HEIGHT)
+    assert stands.all()
+    np.testing.assert_allclose(sole_positions(planted, flat, HEIGHT)[..., 2], 0.0, atol=2e-3)
+    raised = ankles + np.array([0.0, 0.0, 0.07])  # with the toes on the floor
+    on_toes = measure_soles(raised, tiptoe, HEIGHT, ANKLE_M)
+    np.testing.assert_array_equal(on_toes.turn[:, 0], 1.0)
+    _, kept, _, _ = plant(on_toes, raised, tiptoe, HEIGHT)
+    np.testing.assert_allclose(lean(kept)[1], np.tile(np.radians([25.0, 21.0]), (60, 1)))
+
+
+def test_a_foot_touches_the_floor_in_a_walk_whose_feet_slide() -> None:
+    ankles, feet = standing(240)
+    along = np.arange(240) / 36.0 * 1.2
+    lift = 0.06 * np.maximum(0.0, np.sin(np.arange(240)[:, None] / 6.0 + [0.0, np.pi]))
+    ankles[..., 0] += np.where(np.arange(240) < 40, 0.0, along - along[40])[:, None]
+    ankles[..., 2] += 0.03 + np.where(np.arange(240)[:, None] < 40, 0.0, 0.02 + lift)
+    found = measure_soles(ankles, feet, HEIGHT)
+    planted, flat, _, _ = plant(found, ankles, feet, HEIGHT)
+    low = sole_positions(planted, flat, HEIGHT)[..., 2].min(axis=(1, 2))
+    assert found.flat and (low < 0.005).mean() > 0.97
+    hips = ankles.mean(axis=1, keepdims=True) + np.array([[0.0, 0.1, 0.7], [0.0, -0.1, 0.7]])
+    stream, turned, *_ = StancePlanter(found, HEIGHT)(hips, ankles, feet, 0.8)
+    low = sole_positions(stream, turned, HEIGHT)[..., 2].min(axis=(1, 2))
+    assert np.percentile(np.abs(low[60:]), 90) < 0.015
+    flight = ankles.copy()  # 0.25 s without a foot on the floor is a flight, whatever its height
+    flight[:, :, 0] = 0.0
+    flight[:, :, 2] = ANKLE_M + 0.03
+    flight[100:109, :, 0] += np.linspace(0.0, 0.5, 9)[:, None]
+    flight[109:, :, 0] += 0.5
+    flight[101:108, :, 2] += 0.05
+    planted, _, _, stands = plant(measure_soles(flight, feet, HEIGHT), flight, feet, HEIGHT)
+    assert not stands[103:106].any()
+    np.testing.assert_allclose(planted[103:106, :, 2] - ANKLE_M, 0.05, atol=2e-3)
+
+
 def test_figures_tell_feet_that_float_from_feet_that_stand(
     walk: Clip, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     motion = spoiled(to_motion(walk))
     planted = stance_figures(motion, to_clip(motion))
     assert planted.warnings() == []
-    assert planted.contact > 0.97 and planted.skate_cm_s < planted.file_skate_cm_s + 2.0
+    assert planted.contact > 0.97 and planted.bears > 0.9
+    assert planted.skate_cm_s < planted.file_skate_cm_s + 2.0
     monkeypatch.setattr(footing_module, "measure_soles", lambda *_: Soles())
     floating = stance_figures(motion, to_clip(motion))
     assert floating.sole_cm > 1.0 and floating.tilt_cm > 2.0

@@ -99,6 +99,7 @@ class _Header:
 def _pose(header: _Header, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positions ``(T, J, 3)`` and rotations ``(T, J, 4)`` of the frames ``(T, C)``."""
     count = len(header.names)
+    middle = np.median(values, axis=0)
     positions = np.tile(np.array(header.offsets), (len(values), 1, 1))
     rotations = np.tile([1.0, 0.0, 0.0, 0.0], (len(values), count, 1))
     turned: dict[str, list[tuple[int, list[int]]]] = {}
@@ -108,7 +109,8 @@ def _pose(header: _Header, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         column += len(channels)
         moved = [channel for channel in at if channel.endswith("position")]
         if moved:
-            _move(positions[:, joint], values, {CHANNELS.index(c): at[c] for c in moved}, joint)
+            columns = {CHANNELS.index(c): at[c] for c in moved}
+            _move(positions[:, joint], values, middle, columns, joint)
         order = [channel for channel in channels if channel.endswith("rotation")]
         if order:
             letters = "".join(channel[0] for channel in order)
@@ -120,12 +122,26 @@ def _pose(header: _Header, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return positions, rotations
 
 
-def _move(place: np.ndarray, values: np.ndarray, columns: dict[int, int], joint: int) -> None:
-    """Puts the position channels, axis to column, into a joint's ``(T, 3)``."""
-    axes = list(columns)
-    given = values[:, list(columns.values())]
+def _move(
+    place: np.ndarray,
+    values: np.ndarray,
+    middle: np.ndarray,
+    columns: dict[int, int],
+    joint: int,
+) -> None:
+    """Puts the position channels, axis to column, into a joint's ``(T, 3)``.
+
+    Args:
+        place: ``(T, 3)``, filled with the joint's offset.
+        values: ``(T, C)`` all channels.
+        middle: ``(C,)`` their medians.
+        columns: axis to column of the position channels.
+        joint: index; the root is 0.
+    """
+    axes, given = list(columns), values[:, list(columns.values())]
     offset = place[0, axes].copy()
-    near_zero = np.linalg.norm(np.median(given, axis=0)) < DISPLACEMENT * np.linalg.norm(offset)
+    usual = middle[list(columns.values())]
+    near_zero = np.linalg.norm(usual) < DISPLACEMENT * np.linalg.norm(offset)
     place[:, axes] = given + offset if joint and near_zero else given
 
 

@@ -61,6 +61,11 @@ MAX_ROOT_SPEED = 13.0
 """m/s; no one has run faster."""
 
 
+MAX_ROOT_TURN = 40.0
+"""rad/s of the pelvis; a figure skater's fastest spins are at 36 (340 turns a minute). Of 290 clips
+measured, those of Bandai-Namco, DeepMimic and intact ones of CMU stay below 16."""
+
+
 @dataclass(frozen=True)
 class Report:
     """How a recording was interpreted, and which checks it fails.
@@ -168,6 +173,19 @@ def _problems(motion: Motion, position: np.ndarray, report: Report) -> list[str]
                 f"faster than anyone runs"
             )
     return out
+
+
+def jumps(motion: Motion) -> str:
+    """Where the pelvis turns faster than anyone can, as in a file with a bad frame; or empty."""
+    if len(motion) < 2:
+        return ""
+    turn = rot.angle_between(motion.rotations[1:, 0], motion.rotations[:-1, 0])
+    frames = np.flatnonzero(turn * motion.fps > MAX_ROOT_TURN)
+    if not len(frames):
+        return ""
+    worst = int(turn.argmax())
+    what = f"the pelvis turns by {np.degrees(turn[worst]):.0f} deg from frame {worst} to the next"
+    return f"{what}: the file jumps" + (f" in {len(frames)} places" if len(frames) > 1 else "")
 
 
 def upright_share(position: np.ndarray, up: np.ndarray) -> float:

@@ -12,7 +12,7 @@ from questsim.errors import InputError
 from questsim.motion.families import Family
 from questsim.motion.motion import Motion
 from questsim.motion.recording import Recording
-from questsim.skeleton import JOINT_PARENTS, JOINTS, NUM_JOINTS
+from questsim.skeleton import JOINT_PARENTS, JOINTS, NUM_JOINTS, generations
 
 DOWN = np.array([0.0, 0.0, -1.0])
 STRAIGHT: dict[str, tuple[str, np.ndarray]] = {
@@ -63,13 +63,11 @@ def world_axes(up: str) -> np.ndarray:
 def global_pose(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """World positions ``(T, J, 3)`` and orientations ``(T, J, 4)`` in the file's frame."""
     positions, orientations = recording.positions.copy(), recording.rotations.copy()
-    for joint, parent in enumerate(recording.parents):
-        if parent >= 0:
-            turn = orientations[:, parent]
-            positions[:, joint] = positions[:, parent] + rot.quat_rotate(
-                turn, recording.positions[:, joint]
-            )
-            orientations[:, joint] = rot.quat_multiply(turn, recording.rotations[:, joint])
+    for joints, parents in generations(tuple(int(p) for p in recording.parents)):
+        turn = orientations[:, parents]
+        bones = rot.quat_rotate(turn, recording.positions[:, joints])
+        positions[:, joints] = positions[:, parents] + bones
+        orientations[:, joints] = rot.quat_multiply(turn, recording.rotations[:, joints])
     return positions, orientations
 
 
@@ -95,20 +93,19 @@ def to_motion(recording: Recording, family: Family, metres: float, up: str, **me
     places = {j: positions[:, column] * metres for j, column in index.items()}
     own = {j: orientations[:, column] for j, column in index.items()}
     rest = _rest_rotations(family, bones(places, own), where)
-    for joint, axes in rest.items():
-        if not np.linalg.det(axes) > 0.5:  # NaN is not
+    axes = np.stack(list(rest.values()))
+    for joint, size in zip(rest, np.linalg.det(axes), strict=True):
+        if not size > 0.5:  # NaN is not
             what = f"the axes of {JOINTS[joint]} cannot be found: bones around it have no length"
             raise InputError(what, where, "export the whole skeleton")
-    rest_quat = dict(zip(rest, rot.matrix_to_quat(np.stack(list(rest.values()))), strict=True))
     world = world_axes(up)
-    world_quat = rot.matrix_to_quat(world)
     turned = np.empty((len(positions), NUM_JOINTS, 4))
+    turned[:, list(rest)] = rot.quat_multiply(
+        rot.matrix_to_quat(world),
+        rot.quat_multiply(orientations[:, [index[j] for j in rest]], rot.matrix_to_quat(axes)),
+    )
     for joint in range(NUM_JOINTS):
-        if joint in own:
-            turned[:, joint] = rot.quat_multiply(
-                world_quat, rot.quat_multiply(own[joint], rest_quat[joint])
-            )
-        else:
+        if joint not in rest:
             turned[:, joint] = turned[:, JOINT_PARENTS[joint]]
     placed = {joint: place @ world.T for joint, place in places.items()}
     _check_rigid(recording, set(index.values()), metres)
@@ -139,22 +136,19 @@ def _file_joints(recording: Recording, family: Family) -> dict[int, int]:
 
 def bones(places: dict[int, np.ndarray], own: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
     """Median position ``(3,)`` of each joint in the frame of its nearest mapped parent."""
-    out = {}
-    for joint, place in places.items():
-        parent = _mapped_parent(joint, places)
-        if parent is not None:
-            back = rot.quat_conjugate(own[parent])
-            out[joint] = np.median(rot.quat_rotate(back, place - places[parent]), axis=0)
-    return out
+    above = {joint: _mapped_parent(joint, places) for joint in places}
+    pairs = [(joint, parent) for joint, parent in above.items() if parent is not None]
+    back = rot.quat_conjugate(np.stack([own[parent] for _, parent in pairs], axis=1))
+    apart = np.stack([places[joint] - places[parent] for joint, parent in pairs], axis=1)
+    middle = np.median(rot.quat_rotate(back, apart), axis=0)
+    return {joint: bone for (joint, _), bone in zip(pairs, middle, strict=True)}
 
 
 def _local(turned: np.ndarray) -> np.ndarray:
     """Local rotations ``(T, 22, 4)`` from world orientations ``(T, 22, 4)``."""
     local = turned.copy()
-    for joint in range(1, NUM_JOINTS):
-        local[:, joint] = rot.quat_multiply(
-            rot.quat_conjugate(turned[:, JOINT_PARENTS[joint]]), turned[:, joint]
-        )
+    above = rot.quat_conjugate(turned[:, JOINT_PARENTS[1:]])
+    local[:, 1:] = rot.quat_multiply(above, turned[:, 1:])
     return local / np.linalg.norm(local, axis=-1, keepdims=True)
 
 
@@ -184,7 +178,8 @@ def _rest_rotations(
         matrix = axes_matrix(family.axes_of(name), where) if found is None else found
         part = name.split("_")[-1]
         pitch = {"ankle": family.foot_pitch, "toe": family.toe_pitch}.get(part, 0.0)
-        matrix = matrix @ Rotation.from_euler("y", -pitch).as_matrix()
+        if pitch:
+            matrix = matrix @ Rotation.from_euler("y", -pitch).as_matrix()
         turn = np.eye(3)
         if name in STRAIGHT:
             child, direction = STRAIGHT[name]
@@ -216,17 +211,19 @@ def _shortest_turn(vector: np.ndarray, onto: np.ndarray) -> np.ndarray:
 def _check_rigid(recording: Recording, mapped: Container[int], metres: float) -> None:
     """Rejects bones that change length, in files with positions of all joints."""
     length = np.linalg.norm(recording.positions, axis=-1) * metres
+    stretches = abs(length - np.median(length, axis=0))
+    greatest = stretches.max(axis=0)
     for joint, parent in enumerate(recording.parents):
         above = int(parent)
         while above >= 0 and above not in mapped:
             above = int(recording.parents[above])
         if joint not in mapped or above < 0:
             continue
-        stretch = abs(length[:, joint] - np.median(length[:, joint]))
-        if stretch.max() > MAX_STRETCH_M:
+        if greatest[joint] > MAX_STRETCH_M:
+            frame = int(stretches[:, joint].argmax())
             raise InputError(
-                f"{recording.names[joint][:40]!r} is {100 * stretch.max():.1f} cm further from its "
-                f"parent or nearer at frame {int(stretch.argmax())}: bones are not rigid",
+                f"{recording.names[joint][:40]!r} is {100 * greatest[joint]:.1f} cm further from "
+                f"its parent or nearer at frame {frame}: bones are not rigid",
                 str(recording.path),
                 "export with rigid bones",
             )

@@ -56,7 +56,14 @@ def footing_of(ankles: np.ndarray, feet: np.ndarray, height: float, rise: float)
     """The footing of ankle targets ``(T, 2, 3)`` and foot orientations ``(T, 2, 4)``."""
     lowest = lowest_point(ankles, feet, height).min(axis=1)
     floor = float(np.percentile(lowest, FLOOR_PERCENTILE))
-    return Footing(rise, floor, measure_soles(ankles - [0.0, 0.0, floor], feet, height))
+    flat_ankle = _avatar_rise(height) - floor
+    soles = measure_soles(ankles - [0.0, 0.0, floor], feet, height, flat_ankle)
+    return Footing(rise, floor, soles)
+
+
+def _avatar_rise(height: float) -> float:
+    """Height of the avatar's ankle above its flat sole."""
+    return -float(sole_points()[..., 2].mean()) * height / DEFAULT_HEIGHT_M
 
 
 def leg_targets(
@@ -74,7 +81,7 @@ def leg_targets(
     lowered by the difference of the ankle heights.
     """
     ratio = leg_ratio(motion, height, proportions)
-    avatar_rise = -sole_points()[..., 2].mean() * height / DEFAULT_HEIGHT_M
+    avatar_rise = _avatar_rise(height)
     root = root_path(motion, position, height, proportions)
     root[:, 2] += avatar_rise - ratio * rise
     up = rot.quat_rotate(quat[:, ANKLES], np.array([0.0, 0.0, 1.0]))

@@ -44,6 +44,12 @@ def hinge_axes() -> tuple[tuple[tuple[int, np.ndarray], ...], ...]:
 
 
 @lru_cache(maxsize=1)
+def dof_axes() -> np.ndarray:
+    """``(33, 3)`` the axis of each hinge."""
+    return np.array([axis for _, axis in sorted(sum(hinge_axes(), ()), key=lambda hinge: hinge[0])])
+
+
+@lru_cache(maxsize=1)
 def sole_points() -> np.ndarray:
     """``(2, 4, 3)`` the four sole points of each foot, in the foot's frame, in metres."""
     model = build_body().model
@@ -83,14 +89,16 @@ def link_poses(
     position = np.empty((frames, NUM_LINKS, 3))
     quat = np.empty((frames, NUM_LINKS, 4))
     position[:, 0], quat[:, 0] = qpos[:, :3], qpos[:, 3:7]
+    half = qpos[:, 7:] / 2.0
+    hinges = np.empty((frames, len(DOFS), 4))
+    hinges[..., 0] = np.cos(half)
+    hinges[..., 1:] = np.sin(half)[..., None] * dof_axes()
     for link in sorted(needed - {0}):
         parent = LINK_PARENTS[link]
         position[:, link] = position[:, parent] + rot.quat_rotate(quat[:, parent], offsets[link])
         orientation = quat[:, parent]
-        for dof, axis in hinge_axes()[link]:
-            half = qpos[:, 7 + dof, None] / 2.0
-            hinge = np.concatenate([np.cos(half), np.sin(half) * axis], axis=-1)
-            orientation = rot.quat_multiply(orientation, hinge)
+        for dof, _ in hinge_axes()[link]:
+            orientation = rot.quat_multiply(orientation, hinges[:, dof])
         quat[:, link] = orientation
     if len(links) < NUM_LINKS:
         return position[:, list(links)], quat[:, list(links)]

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from questsim.errors import InputError
-from questsim.motion.checks import Report
+from questsim.motion.checks import Report, jumps
 from questsim.motion.clip import Clip
 from questsim.motion.families import SMPL, add_families, registered_families
 from questsim.motion.motion import Motion
@@ -38,13 +38,14 @@ _Named = TypeVar("_Named", Motion, Clip)
 
 @dataclass(frozen=True)
 class Retargeted:
-    """The result of ``read_and_retarget``; errors and feet if requested."""
+    """The result of ``read_and_retarget``; errors, feet and warnings if requested."""
 
     motion: Motion
     clip: Clip
     report: str
     error_cm: dict[str, float]
     stance: StanceFigures | None = None
+    warnings: tuple[str, ...] = ()
 
     def named(self, name: str) -> Retargeted:
         """A copy with another name."""
@@ -82,7 +83,8 @@ def read_and_retarget(path: Path, options: ReadOptions, with_error: bool = False
     stance = stance_figures(motion, clip) if with_error else None
     if stance and not stance.still:
         report = replace(report, notes=(*report.notes, _unmeasured_soles(report)))
-    return Retargeted(motion, clip, str(report), error, stance)
+    warnings = (jumps(motion), *stance.warnings()) if stance else ()
+    return Retargeted(motion, clip, str(report), error, stance, tuple(filter(None, warnings)))
 
 
 def _unmeasured_soles(report: Report) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from questsim import rotations as rot
 from questsim.errors import InputError
-from questsim.skeleton import JOINT_PARENTS, JOINTS, MIRROR_JOINTS, NUM_JOINTS
+from questsim.skeleton import JOINT_PARENTS, JOINTS, MIRROR_JOINTS, NUM_JOINTS, generations
 
 
 @dataclass(frozen=True)
@@ -125,9 +125,9 @@ def joint_kinematics(
     positions = np.empty((frames, NUM_JOINTS, 3))
     orientations = np.empty((frames, NUM_JOINTS, 4))
     positions[:, 0], orientations[:, 0] = root_position, rotations[:, 0]
-    for joint in range(1, NUM_JOINTS):
-        parent = JOINT_PARENTS[joint]
-        bone = rot.quat_rotate(orientations[:, parent], offsets[..., joint, :])
-        positions[:, joint] = positions[:, parent] + bone
-        orientations[:, joint] = rot.quat_multiply(orientations[:, parent], rotations[:, joint])
+    for joints, parents in generations(JOINT_PARENTS):
+        turn = orientations[:, parents]
+        bones = rot.quat_rotate(turn, offsets[..., joints, :])
+        positions[:, joints] = positions[:, parents] + bones
+        orientations[:, joints] = rot.quat_multiply(turn, rotations[:, joints])
     return positions, orientations

@@ -212,7 +212,7 @@ def _read(files: Sequence[Path], options: ReadOptions, skipped: _Skipped) -> dic
             print(f"    feet: {result.stance}")
         elif len(done) == MAX_REPORTS:
             print("... and more")
-        for warning in result.stance.warnings() if result.stance else ():
+        for warning in result.warnings:
             print(f"warning: {names[index]}: {warning}", file=sys.stderr)
         done[index] = result
     return done

@@ -20,6 +20,7 @@ from scipy.ndimage import binary_closing, binary_opening, gaussian_filter1d, max
 
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
+from questsim.motion.clip import FPS
 from questsim.motion.kinematics import central_difference, sole_positions
 
 STILL_M_S = 0.25
@@ -45,6 +46,12 @@ MAX_PITCH, MAX_ROLL = np.radians(20.0), np.radians(25.0)
 """Feet that lean more do so on purpose (tiptoes): then nothing is known of the sole."""
 FLAT_PITCH, FLAT_ROLL = np.radians([5.0, 12.0]), np.radians([8.0, 20.0])
 """A still foot is turned flat up to the first angle, left alone from the second on."""
+STEEP_PITCH, MAX_FLAT_PITCH, LOW_ANKLE_M = np.radians(12.0), np.radians(40.0), (0.035, 0.05)
+"""A still sole leans by more than the first angle, less than the second, but its ankle is as low as
+that of a flat foot: then the sole is flat, and the file's foot is turned. The ankle is low up to
+the first height over that of a flat foot, and not from the second on; of the default body."""
+LONGEST_GLIDE_S = 0.3
+"""No flight lasts as long with a sole within ``ON_FLOOR_M``: the lower foot bears, however fast."""
 SMOOTH_FRAMES, ROOT_SMOOTH_FRAMES = 1.0, 4.0
 """Standard deviations in frames of the filters over corrections of feet and root."""
 MAX_REACH = 0.998
@@ -60,12 +67,15 @@ class Soles:
         level_m: ``(2,)`` height of each sole's lowest point while it stands.
         slope: ``(2,)`` the file's floor rises by as much per metre along x and y.
         flat: whether feet are to be planted: the ground is flat, and they do not stand already.
+        low_ankle_m: height of a flat foot's ankle, where that and not the foot's angle shows which
+            still feet are flat; else -inf.
     """
 
     turn: np.ndarray = field(default_factory=lambda: np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)))
     level_m: np.ndarray = field(default_factory=lambda: np.zeros(2))
     slope: np.ndarray = field(default_factory=lambda: np.zeros(2))
     flat: bool = False
+    low_ankle_m: float = -np.inf
 
 
 def still_feet(
@@ -98,7 +108,7 @@ def from_lean(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarra
     return rot.quat_multiply(rot.yaw_quat(yaw), rot.quat_multiply(about_y, about_x))
 
 
-def usual_lean(feet: np.ndarray, still: np.ndarray) -> np.ndarray:
+def usual_lean(feet: np.ndarray, still: np.ndarray, max_pitch: float = MAX_PITCH) -> np.ndarray:
     """``(2, 2)`` each foot's pitch and roll while it stands, 0 where that is not known.
 
     The median over still frames, and of those near it again, so that heel strike and toe-off do
@@ -113,7 +123,7 @@ def usual_lean(feet: np.ndarray, still: np.ndarray) -> np.ndarray:
         middle = np.median(both, axis=1, keepdims=True)
         near = (np.abs(both - middle) < FLAT_ROLL[0]).all(axis=0)
         found = np.median(both[:, near], axis=1) if near.any() else middle[:, 0]
-        if (np.abs(found) < [MAX_PITCH, MAX_ROLL]).all():
+        if (np.abs(found) < [max_pitch, MAX_ROLL]).all():
             out[foot] = found
     for foot in range(2):
         if np.isnan(out[foot]).any():
@@ -121,11 +131,22 @@ def usual_lean(feet: np.ndarray, still: np.ndarray) -> np.ndarray:
     return np.nan_to_num(out)
 
 
-def measure_soles(ankles: np.ndarray, feet: np.ndarray, height: float) -> Soles:
-    """Estimate each foot's sole from the frames in which it is still."""
+def measure_soles(
+    ankles: np.ndarray, feet: np.ndarray, height: float, flat_ankle_m: float = -np.inf
+) -> Soles:
+    """Estimate each foot's sole from the frames in which it is still.
+
+    Args:
+        ankles, feet: targets ``(T, 2, 3 | 4)``.
+        height: the avatar's stature in metres.
+        flat_ankle_m: height of a flat foot's ankle over the file's own floor, in the same space.
+    """
     ratio = height / DEFAULT_HEIGHT_M
     still = still_feet(ankles, feet, height)
-    leans = usual_lean(feet, still)
+    low = still & (ankles[..., 2] < flat_ankle_m + LOW_ANKLE_M[0] * ratio)
+    leans, low_ankle_m = usual_lean(feet, low, MAX_FLAT_PITCH), flat_ankle_m
+    if np.abs(leans[:, 0]).max() < STEEP_PITCH or 2 * low.sum() < still.sum():
+        leans, low_ankle_m = usual_lean(feet, still), -np.inf
     turn = rot.quat_conjugate(from_lean(np.zeros(2), leans[:, 0], leans[:, 1]))
     # Who runs or slides all the time has hardly a still foot: the heights of slow feet must do.
     if still.any(axis=1).mean() < MIN_STILL_SHARE:
@@ -147,7 +168,7 @@ def measure_soles(ankles: np.ndarray, feet: np.ndarray, height: float) -> Soles:
     level_feet = still & (np.abs(pitch) < MAX_PITCH) & (np.abs(roll) < MAX_ROLL)
     if (away[level_feet] < -near).sum() > MAX_BELOW * still.sum():
         return Soles()
-    return Soles(turn, level, slope, flat=True)
+    return Soles(turn, level, slope, flat=True, low_ankle_m=low_ankle_m)
 
 
 def _stand_already(ankles: np.ndarray, feet: np.ndarray, still: np.ndarray, ratio: float) -> bool:
@@ -220,7 +241,8 @@ def plant(
     floor = soles.level_m + ankles[..., :2] @ soles.slope
     away = lowest_point(ankles, feet, height) - floor
     stands = still & (np.abs(away) < ON_FLOOR_M * ratio)
-    feet = _flattened(feet, stands)
+    low = low_ankles(soles, ankles, ratio)
+    feet = _flattened(feet, stands, low)
     away = lowest_point(ankles, feet, height) - floor
     rise = np.stack([_between(-away[:, f], stands[:, f], 0.0) for f in range(2)], axis=1)
     # Heel strike, toe-off and feet that slide: where no foot stands, a slow and low one bears.
@@ -228,6 +250,7 @@ def plant(
     bears = slow & (left_over < TOUCH_M * ratio) & ~stands.any(axis=1, keepdims=True)
     bears &= left_over <= left_over.min(axis=1, keepdims=True)
     stands |= bears
+    stands |= _glides(left_over, stands, ON_FLOOR_M * ratio)
     rise = np.stack([_between(-away[:, f], stands[:, f], SMOOTH_FRAMES) for f in range(2)], axis=1)
     rise -= floor
     count = stands.sum(axis=1)
@@ -238,10 +261,23 @@ def plant(
     return ankles, feet, root, stands
 
 
-def _flattened(feet: np.ndarray, stands: np.ndarray) -> np.ndarray:
+def _glides(away: np.ndarray, stands: np.ndarray, near: float) -> np.ndarray:
+    """Which lower feet ``(T, 2)`` bear although they glide: none stands, and this is no flight."""
+    lowest = away.min(axis=1, keepdims=True)
+    glides = (lowest[:, 0] < near) & ~stands.any(axis=1)
+    glides = binary_opening(glides, np.ones(int(LONGEST_GLIDE_S * FPS), bool))
+    return glides[:, None] & (away <= lowest)
+
+
+def low_ankles(soles: Soles, ankles: np.ndarray, ratio: float) -> np.ndarray:
+    """How surely ``(..., 2)``, 0 to 1, a still foot is flat by the height of its ankle."""
+    return _fade(ankles[..., 2] - soles.low_ankle_m, np.array(LOW_ANKLE_M) * ratio)
+
+
+def _flattened(feet: np.ndarray, stands: np.ndarray, low: np.ndarray) -> np.ndarray:
     """Standing feet turned flat, as far as they do not roll or lean on purpose."""
     yaw, pitch, roll = lean(feet)
-    pitch_turn, roll_turn = flat_turn(pitch, roll, stands)
+    pitch_turn, roll_turn = flat_turn(pitch, roll, stands, low)
     return from_lean(yaw, pitch - smoothed(pitch_turn), roll - smoothed(roll_turn))
 
 
@@ -251,11 +287,11 @@ def smoothed(values: np.ndarray) -> np.ndarray:
 
 
 def flat_turn(
-    pitch: np.ndarray, roll: np.ndarray, stands: np.ndarray
+    pitch: np.ndarray, roll: np.ndarray, stands: np.ndarray, low: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which part of its pitch and of its roll, in radians, is taken off each foot ``(..., 2)``."""
     return (
-        np.where(stands, _fade(np.abs(pitch), FLAT_PITCH) * pitch, 0.0),
+        np.where(stands, np.maximum(_fade(np.abs(pitch), FLAT_PITCH), low) * pitch, 0.0),
         np.where(stands, _fade(np.abs(roll), FLAT_ROLL) * roll, 0.0),
     )
 

@@ -7,6 +7,7 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
+from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.footing import ANKLES, leg_targets
@@ -17,24 +18,32 @@ from questsim.motion.stance import ON_FLOOR_M, still_feet
 from questsim.skeleton import FOOT_LINKS
 
 SOLE_BAR_CM, SOLE_P90_BAR_CM, TILT_BAR_CM, CONTACT_BAR = 0.7, 1.5, 1.0, 0.97
+MIN_BEARING = 0.8
+"""Warn if a sole bears in a smaller share of walking frames: then the feet of the file slide."""
 WALKING_M_S = (0.3, 2.0)
 """The root's horizontal speed in frames that count as walking, scaled with height."""
 MAX_VERTICAL_M_S, MAX_FALL_M_S2 = 0.6, 5.0
 """Frames in which the root moves faster up or down, or falls faster, are of a jump."""
+MIN_UPRIGHT = 0.7
+"""Cosine of the trunk's greatest angle to the vertical while walking: no crawl, no cartwheel."""
 MIN_WALKING_FRAMES = 18
 SKATE_MARGIN_CM_S = 2.0
 
 
 @dataclass(frozen=True)
 class StanceFigures:
-    """Of the frames in which a foot is still in the file, those lifted off the floor left out.
+    """How the feet of a clip stand.
+
+    Still feet are those that are still in the file and not lifted off the floor.
 
     Attributes:
         still: share of frames in which a foot is still.
         sole_cm, sole_p90_cm: distance of the sole's lowest point from the floor, mean and 90th
             percentile; NaN where no foot is ever still, like the others.
         tilt_cm: mean height of the sole's highest point over its lowest.
-        contact: share of walking frames in which some foot bears; NaN if the clip hardly walks.
+        contact: share of walking frames in which some sole is within 1.5 cm of the floor; NaN if
+            the clip hardly walks.
+        bears: the same for a sole that is also slow (``Clip.contacts``).
         skate_cm_s, file_skate_cm_s: mean horizontal speed of the soles' centres, in the clip and
             in the file (scaled to the avatar).
     """
@@ -44,6 +53,7 @@ class StanceFigures:
     sole_p90_cm: float
     tilt_cm: float
     contact: float
+    bears: float
     skate_cm_s: float
     file_skate_cm_s: float
 
@@ -56,7 +66,11 @@ class StanceFigures:
                 f"skating {self.skate_cm_s:.0f} cm/s (file {self.file_skate_cm_s:.0f})",
             ]
         if np.isfinite(self.contact):
-            parts.insert(len(parts) - 1, f"a foot bears in {100 * self.contact:.0f} % of walking")
+            walking = (
+                f"a foot touches in {100 * self.contact:.0f} % of walking, "
+                f"bears in {100 * self.bears:.0f} %"
+            )
+            parts.insert(len(parts) - 1, walking)
         return ", ".join(parts)
 
     def warnings(self) -> list[str]:
@@ -67,7 +81,9 @@ class StanceFigures:
         if self.tilt_cm > 2 * TILT_BAR_CM:
             out.append(f"still soles tilt by {self.tilt_cm:.1f} cm")
         if self.contact < 1 - 2 * (1 - CONTACT_BAR):
-            out.append(f"no foot bears in {100 * (1 - self.contact):.0f} % of walking")
+            out.append(f"no foot touches in {100 * (1 - self.contact):.0f} % of walking")
+        elif self.bears < MIN_BEARING:
+            out.append(f"feet slide in {100 * (1 - self.bears):.0f} % of walking")
         if self.skate_cm_s > 2 * self.file_skate_cm_s + SKATE_MARGIN_CM_S:
             out.append(f"feet skate at {self.skate_cm_s:.0f} cm/s")
         return out
@@ -85,15 +101,13 @@ def stance_figures(motion: Motion, clip: Clip) -> StanceFigures:
     lowest = soles[..., 2].min(axis=-1)
     lifted = lowest > lowest.min(axis=1, keepdims=True) + ON_FLOOR_M * ratio
     still = still_feet(ankles, recorded, height) & ~lifted
-    speed = np.linalg.norm(central_difference(clip.qpos[:, :2]), axis=-1) / ratio
-    walks = (speed > WALKING_M_S[0]) & (speed < WALKING_M_S[1])
-    vertical = central_difference(clip.qpos[:, 2])
-    walks &= (np.abs(vertical) < MAX_VERTICAL_M_S) & (central_difference(vertical) > -MAX_FALL_M_S2)
-    contact = np.nan
+    walks = _walks(clip)
+    contact, bears = np.nan, np.nan
     if walks.sum() >= MIN_WALKING_FRAMES:
-        contact = float(clip.contacts[walks].any(axis=1).mean())
+        contact = float((lowest[walks].min(axis=1) < 0.01 * SOLE_P90_BAR_CM * ratio).mean())
+        bears = float(clip.contacts[walks].any(axis=1).mean())
     if not still.any():
-        return StanceFigures(0.0, np.nan, np.nan, np.nan, contact, np.nan, np.nan)
+        return StanceFigures(0.0, np.nan, np.nan, np.nan, contact, bears, np.nan, np.nan)
     off = 100.0 * np.abs(lowest[still])
     skate, file_skate = (
         100.0 * float(np.linalg.norm(central_difference(s[..., :2]), axis=-1)[still].mean())
@@ -105,8 +119,24 @@ def stance_figures(motion: Motion, clip: Clip) -> StanceFigures:
         sole_p90_cm=float(np.percentile(off, 90)),
         tilt_cm=100.0 * float(np.ptp(soles[..., 2], axis=-1)[still].mean()),
         contact=contact,
+        bears=bears,
         skate_cm_s=skate,
         file_skate_cm_s=file_skate,
+    )
+
+
+def _walks(clip: Clip) -> np.ndarray:
+    """``(T,)`` bool: the avatar walks, neither crawls nor jumps."""
+    speed = np.linalg.norm(central_difference(clip.qpos[:, :2]), axis=-1)
+    speed *= DEFAULT_HEIGHT_M / clip.height_m
+    vertical = central_difference(clip.qpos[:, 2])
+    upright = rot.quat_rotate(clip.qpos[:, 3:7], np.array([0.0, 0.0, 1.0]))[:, 2]
+    return (
+        (speed > WALKING_M_S[0])
+        & (speed < WALKING_M_S[1])
+        & (np.abs(vertical) < MAX_VERTICAL_M_S)
+        & (central_difference(vertical) > -MAX_FALL_M_S2)
+        & (upright > MIN_UPRIGHT)
     )
 
 

@@ -14,6 +14,7 @@ from questsim.body import DEFAULT_HEIGHT_M
 from questsim.motion.clip import FPS
 from questsim.motion.kinematics import sole_positions
 from questsim.motion.stance import (
+    LONGEST_GLIDE_S,
     ON_FLOOR_M,
     SLOW_M_S,
     STILL_M_S,
@@ -23,6 +24,7 @@ from questsim.motion.stance import (
     from_lean,
     lacking_reach,
     lean,
+    low_ankles,
     lowest_point,
 )
 
@@ -51,6 +53,7 @@ class StancePlanter:
         self._root = 0.0
         self._sunk = 0.0
         self._bears = np.zeros(2)
+        self._glided = 0  # frames since a foot stood, all with a sole near the floor
 
     def __call__(
         self, hips: np.ndarray, ankles: np.ndarray, feet: np.ndarray, leg_m: float
@@ -88,12 +91,19 @@ class StancePlanter:
         stands = (speed < STILL_M_S) & (np.abs(away) < ON_FLOOR_M * ratio)
         if first:  # whether they move is not known yet
             stands &= away <= away.min()
-        feet = self._flattened(feet, stands, 1.0 if first else FOOT_SHARE)
+        low = low_ankles(self._soles, ankles, ratio)
+        feet = self._flattened(feet, stands, low, 1.0 if first else FOOT_SHARE)
         away = lowest_point(ankles, feet, self._height) - floor
         if not stands.any():
             left_over = away + self._rise
-            stands = (speed < SLOW_M_S) & (left_over < TOUCH_M * ratio)
-            stands &= left_over <= left_over.min()
+            lower = left_over <= left_over.min()
+            stands = (speed < SLOW_M_S) & (left_over < TOUCH_M * ratio) & lower
+            near = not stands.any() and left_over.min() < ON_FLOOR_M * ratio
+            self._glided = self._glided + 1 if near else 0
+            if self._glided >= LONGEST_GLIDE_S * FPS:
+                stands = lower
+        else:
+            self._glided = 0
         self._bears = self._bears + (1.0 if first else FOOT_SHARE) * (stands - self._bears)
         lacking = np.where(stands, -away - self._rise, 0.0)
         self._rise = self._rise + (lacking if first else FOOT_SHARE * lacking)
@@ -106,8 +116,10 @@ class StancePlanter:
         self._sunk += (FOOT_SHARE if lacks > self._sunk else RELEASE_SHARE) * (lacks - self._sunk)
         return ankles, feet, self._root - self._sunk
 
-    def _flattened(self, feet: np.ndarray, stands: np.ndarray, share: float) -> np.ndarray:
+    def _flattened(
+        self, feet: np.ndarray, stands: np.ndarray, low: np.ndarray, share: float
+    ) -> np.ndarray:
         yaw, pitch, roll = lean(feet)
-        wanted = np.stack(flat_turn(pitch, roll, stands), axis=-1)
+        wanted = np.stack(flat_turn(pitch, roll, stands, low), axis=-1)
         self._turned = self._turned + share * (wanted - self._turned)
         return from_lean(yaw, pitch - self._turned[:, 0], roll - self._turned[:, 1])
