@@ -23,6 +23,7 @@ class Needs:
         privileged: whether it observes the reference itself.
         body_preset: name of the body's preset.
         body: a body of the user's own; None for our avatar.
+        observe_proportions: whether it observes the avatar's proportions.
     """
 
     sensors: str = "H+2C"
@@ -30,6 +31,7 @@ class Needs:
     privileged: bool = False
     body_preset: str = "default"
     body: OwnBody | None = None
+    observe_proportions: bool = False
 
 
 class Agent(Protocol):

@@ -23,6 +23,7 @@ from questsim.sensors import DEVICES, SensorNoise, sensor_set
 MAX_FUTURE_FRAMES = 6
 MAX_ERROR_M = 1e6
 MAX_UNSCALED_M = 0.4
+MAX_SPREAD = 0.15
 SAMPLING = ("uniform", "failure", "kind")
 
 
@@ -59,7 +60,11 @@ class EnvConfig:
             those of the user, not scaled to the avatar; errors are measured from the user's links.
         body: a body of the user's own, see ``questsim.bodies``; None for our avatar. Clips are
             retargeted to it. It has one size and stands on a plane: no ``heights``, ``terrain``,
-            ``height_scan``, ``objects`` or ``body_preset``.
+            ``height_scan``, ``objects``, ``body_preset`` or ``proportions``.
+        proportions: spread of proportions that are drawn for the avatars, the standard deviation
+            of the logarithm of each part, 0 to 0.15; 0 for those of the clips. Each clip is moved
+            to one of at most eight bodies, and a simulation plays the clips of its own body.
+        observe_proportions: append the avatar's proportions to ``o_scale``.
     """
 
     sensors: str = "H+2C"
@@ -82,6 +87,8 @@ class EnvConfig:
     starts: Starts | None = None
     unscaled_m: float = 0.0
     body: OwnBody | None = None
+    proportions: float = 0.0
+    observe_proportions: bool = False
 
     def __post_init__(self) -> None:
         _check_forms(self)
@@ -117,6 +124,14 @@ class EnvConfig:
                 "EnvConfig",
             )
 
+        if not 0.0 <= self.proportions <= MAX_SPREAD:
+            raise InputError(
+                f"proportions is {self.proportions:g}, not 0 to {MAX_SPREAD:g}", "EnvConfig"
+            )
+        if self.proportions and self.terrain is not None:
+            raise InputError("does not go with a terrain", "proportions", "leave one out")
+        if self.proportions and self.starts is not None and self.starts.estimate > 0.0:
+            raise InputError("does not go with starts.estimate", "proportions", "leave one out")
         if self.body is not None:
             _check_own_body(self)
 
@@ -129,7 +144,10 @@ class EnvConfig:
 def _check_own_body(config: EnvConfig) -> None:
     """Reject what only our avatar can do."""
     plain = EnvConfig()
-    for name in ("heights", "terrain", "height_scan", "objects", "body_preset", "unscaled_m"):
+    for name in (
+        "heights", "terrain", "height_scan", "objects", "body_preset", "unscaled_m",
+        "proportions", "observe_proportions",
+    ):  # fmt: skip
         if getattr(config, name) != getattr(plain, name):
             raise InputError(
                 f"{name} does not go with a body of your own", "EnvConfig", f"leave {name} out"
@@ -165,7 +183,9 @@ def _check_forms(config: EnvConfig) -> None:
         value = getattr(config, name)
         _form(value, good=good(value), name=name, takes=takes)
 
-    for name in ("privileged", "fixed_start", "self_collision", "height_scan"):
+    for name in (
+        "privileged", "fixed_start", "self_collision", "height_scan", "observe_proportions",
+    ):  # fmt: skip
         check(name, "True or False", lambda v: isinstance(v, bool | np.bool_))
     check("sensors", "the name of a sensor set", lambda v: isinstance(v, str))
     check("body_preset", f"one of {sorted(PRESETS)}", lambda v: v in [*PRESETS])
@@ -173,6 +193,7 @@ def _check_forms(config: EnvConfig) -> None:
     check("future_frames", "a whole number", _whole)
     check("max_error_m", "metres", _number)
     check("unscaled_m", "metres", _number)
+    check("proportions", "a number", _number)
     check(
         "heights",
         "the least and the greatest stature in metres",

@@ -19,6 +19,7 @@ from mujoco import batch as mujoco_batch
 from envs import footing, kernels
 from envs.actions import checked_actions
 from envs.avatar import avatar_of
+from envs.bodies import Bodies, models_of, on_their_bodies
 from envs.config import EnvConfig
 from envs.episode_random import Seeds, Streams
 from envs.footed_clip import footed_clip, joined
@@ -35,17 +36,15 @@ from envs.kernel_arguments import (
 )
 from envs.layout import SCAN_POINTS, observation_layout, observation_size
 from envs.placement import moved, turn_quat, turned
-from envs.randomisation import varied_models
 from envs.reference import Reference
 from envs.sampler import Sampler
 from envs.starts import Estimates
 from envs.surroundings import Surroundings
-from envs.world import build_world
 from questsim import rotations as rot
 from questsim.bodies import clip_for
-from questsim.body import Body
 from questsim.errors import InputError
 from questsim.motion.clip import FPS, Clip
+from questsim.motion.reproportion import with_proportions
 from questsim.reward import COMPILED, Moment, extra_terms
 from questsim.reward import Reference as MomentReference
 
@@ -111,6 +110,7 @@ class BatchSim:
         fell, ended, unstable: ``(n,)`` bool of the last step: the error passed its limit (or
             the physics failed), the clip ended, the physics was not finite or ran out of memory.
         clip, frame: ``(n,)`` clip being played and present row of the reference.
+        bodies: stature and proportions of each avatar.
         placement, pusher, objects, signals: see ``Surroundings``.
         unstable_count: total number of resets because the physics was unstable.
     """
@@ -133,6 +133,9 @@ class BatchSim:
             )
         if self.config.fixed_start and n > len(clips):
             raise InputError(f"num_envs is {n}, more than the {len(clips)} clips", "fixed_start")
+        clips = on_their_bodies(clips, self.config, n, seed)
+        if shown is not None:
+            shown = on_their_bodies(shown, self.config, n, seed)
         self.reference = Reference.of(clips, self.config, seed)
         seen = self.reference if shown is None else self._reference_shown(clips, shown, seed)
         self.avatar = avatar_of(self.config.body)
@@ -140,15 +143,18 @@ class BatchSim:
         self._positions, self._velocities = 7 + self._sizes[0], 6 + self._sizes[0]
         self._links = slice(1, 1 + self._sizes[1])
         self.layout = observation_layout(self.config)
-        self.heights = self._heights()
+        self.bodies = Bodies(clips, self.config, n, self.reference.heights)
+        self.heights = self.bodies.heights
         self._user_heights = self.heights - self.config.unscaled_m
         self._ratio = self._user_heights / self.avatar.base_m
         self._estimates = self._estimates_of(begin_at)
         self._build_batch(num_threads, seed)
         self._streams = Streams(n, seed, 0)
+        sampling, of_clip = self.config.sampling, self.bodies.of_clip
         self._sampler = Sampler(
-            self.reference, self.config.sampling != "uniform", self.config.sampling == "kind"
-        )
+            self.reference, sampling != "uniform", sampling == "kind",
+            of_clip=of_clip if self.bodies.differ else None,
+        )  # fmt: skip
         self._all = np.arange(n)
         self._floor = np.zeros(n)
         self._around = Surroundings(self.config, self.reference, self._ratio, self.batch, seed)
@@ -190,8 +196,8 @@ class BatchSim:
         self._begin = np.zeros(n, np.int64)
         self.contact_force = np.zeros((n, 2, 3))
         self._previous_force = np.zeros((n, 2))
-        place, height = self.placement.place, self.heights
-        self._episodes = Episodes(self.frame, self._begin, self._end, place, self._ratio, height)
+        place, scale = self.placement.place, self.bodies.scale(self.config)
+        self._episodes = Episodes(self.frame, self._begin, self._end, place, self._ratio, scale)
         self._state = State(
             self.qpos, self.qvel, self._xpos, self._xquat, self._cvel, self._com, self.contact_force
         )
@@ -219,6 +225,9 @@ class BatchSim:
         if len(clips) != len(shown):
             raise InputError(f"shown has {len(shown)} clips, motions have {len(clips)}", "shown")
         for clip, other in zip(clips, shown, strict=True):
+            if clip.proportions != other.proportions:
+                what = "is shown for a clip of other proportions"
+                raise InputError(what, other.name, "give a clip that was made from that one")
             if len(clip) != len(other) or abs(clip.height_m - other.height_m) > _SAME_HEIGHT_M:
                 raise InputError(
                     f"{len(other)} frames of {other.height_m:.3f} m are shown for {len(clip)} of "
@@ -228,19 +237,6 @@ class BatchSim:
                 )
         return Reference.of(shown, self.config, seed)
 
-    def _heights(self) -> np.ndarray:
-        """Stature in metres of each environment's body ``(n,)``."""
-        n, config = self.num_envs, self.config
-        if config.heights is not None:
-            return (
-                np.round(np.linspace(*config.heights, n), 2)
-                if n > 1
-                else (np.array([np.mean(config.heights)]))
-            )
-        # Spread evenly over the clips, so that a few environments still cover all statures.
-        heights = self.reference.heights[np.arange(n) * len(self.reference.heights) // n]
-        return heights + config.unscaled_m
-
     def _estimates_of(self, begin_at: Mapping[str, Clip] | None) -> Estimates | None:
         asked = self.config.starts is not None and self.config.starts.estimate > 0.0
         if asked != (begin_at is not None):
@@ -248,29 +244,14 @@ class BatchSim:
             raise InputError("starts.estimate and begin_at belong together", "BatchSim", fix)
         if begin_at is None:
             return None
+        if any(self.bodies.proportions):
+            what = "estimates are of the default body's proportions, the clips are not"
+            raise InputError(what, "starts.estimate", "leave one out")
         reference = self.reference
         return Estimates(begin_at, reference.names, list(reference.end - reference.start))
 
     def _build_batch(self, num_threads: int, seed: int) -> None:
-        config = self.config
-
-        own = self.avatar.own
-
-        def build(height: float) -> Body:
-            if own is not None:
-                return own.colliding if config.self_collision else own.body
-            return build_world(
-                float(height),
-                config.body_preset,
-                config.self_collision,
-                config.terrain,
-                config.objects,
-            )
-
-        self.body = build(self.avatar.base_m)
-        models = [build(height).model for height in self.heights]
-        if config.randomisation is not None and config.randomisation.of_bodies:
-            models = varied_models(models, config.randomisation, seed, self._sizes[1])
+        self.body, models = models_of(self.bodies, self.config, self.avatar, seed)
         self.substeps = self.body.substeps
         self.batch = mujoco_batch.Batch(
             models[0], self.num_envs, nthread=num_threads, persistent=True
@@ -315,7 +296,11 @@ class BatchSim:
                 with its feet adapted to the ground there.
         """
         own, place = self.config.body, self.placement
-        scaled = clip.scaled(float(self._user_heights[i])) if own is None else clip_for(own, clip)
+        if own is None:
+            scaled = clip.scaled(float(self._user_heights[i]))
+            scaled = with_proportions(scaled, self.bodies.proportions[i])
+        else:
+            scaled = clip_for(own, clip)
         placed = footed_clip(scaled, place.place[i], place.field)
         faults = self._around.faults
         if not faults.jumped[i]:
@@ -352,11 +337,13 @@ class BatchSim:
         """
         ids = self._all if ids is None else ids
         if clip is not None:
+            self.bodies.check_plays(ids, clip)
             clips, first = np.full(len(ids), clip), np.full(len(ids), frame)
         elif self.config.fixed_start:
             clips, first = ids, np.zeros(len(ids), np.int64)
         else:
-            clips, first = self._sampler.draw(self._streams.draw(ids, 2))
+            groups = self.bodies.of_sim[ids] if self.bodies.differ else None
+            clips, first = self._sampler.draw(self._streams.draw(ids, 2), groups)
         reference = self.reference
         self.clip[ids], self._first[ids] = clips, first
         self.frame[ids] = reference.start[clips] + first

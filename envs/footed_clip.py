@@ -46,7 +46,7 @@ def footed_clip(clip: Clip, place: np.ndarray, field: HeightField | None) -> Cli
         end=np.full(frames, frames),
         place=many,
         ratio=np.full(frames, clip.height_m / DEFAULT_HEIGHT_M),
-        height=np.full(frames, clip.height_m),
+        scale=np.full((frames, 1), clip.height_m),
     )
     poses = ReferencePoses(
         common.qpos, common.link_position, common.link_quat, footsteps_of([common])

@@ -36,7 +36,7 @@ class Episodes(NamedTuple):
         frame, begin, end: ``(n,)`` present reference row, the clip's first, one past its last.
         place: ``(n, 4)`` where the clip is played: x, y, cosine and sine of its turn.
         ratio: ``(n,)`` body height over 1.75 m; reference lengths are of the 1.75 m body.
-        height: ``(n,)`` metres.
+        scale: ``(n, 1)`` stature in metres, or ``(n, 6)`` with the proportions behind it.
     """
 
     frame: np.ndarray
@@ -44,7 +44,7 @@ class Episodes(NamedTuple):
     end: np.ndarray
     place: np.ndarray
     ratio: np.ndarray
-    height: np.ndarray
+    scale: np.ndarray
 
 
 class ReferencePoses(NamedTuple):

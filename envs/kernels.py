@@ -199,8 +199,9 @@ def observe(
                     devices.quat[row, d, 2], devices.quat[row, d, 3], out, at + 3,
                 )  # fmt: skip
                 at += 9
-        out[at] = episodes.height[i]
-        at += 1
+        for k in range(episodes.scale.shape[1]):
+            out[at] = episodes.scale[i, k]
+            at += 1
         for k in range(privileged.offsets.shape[0]):
             row, slot = min(frame[i] + privileged.offsets[k], end[i] - 1), privileged.slots[k]
             for j in range(dofs):

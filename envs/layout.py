@@ -6,6 +6,7 @@ import numpy as np
 
 from envs.avatar import avatar_of
 from envs.config import EnvConfig
+from questsim.body_proportions import PARTS
 from questsim.sensors import sensor_set
 from questsim.skeleton import FEET
 
@@ -22,7 +23,8 @@ def observation_layout(config: EnvConfig) -> dict[str, slice]:
 
     Everything is in the frame S: on the floor below the root, turned with its heading (QuestSim
     section 3). ``o_sim`` has 312 numbers, ``o_user`` frames x devices x (position 3, orientation
-    6), ``o_scale`` is the height.
+    6), ``o_scale`` is the height; with ``observe_proportions``, five multiples follow it: the
+    ``PARTS`` of ``questsim.body_proportions``.
 
     ``"privileged"`` follows if the config asks for it. Its first block contains
     ``"reference_joint_angles"``, the 33 angles of the next frame. It ends with three parts:
@@ -54,8 +56,9 @@ def observation_layout(config: EnvConfig) -> dict[str, slice]:
     user = len(config.frame_offsets) * len(sensor_set(config.sensors)) * POSE_SIZE
     layout["o_user"] = slice(at, at + user)
     at += user
-    layout["o_scale"] = slice(at, at + 1)
-    at += 1
+    scale = 1 + (len(PARTS) if config.observe_proportions else 0)
+    layout["o_scale"] = slice(at, at + scale)
+    at += scale
     if config.privileged:
         frames = len(config.privileged_frames) * (2 * dofs + 9 * links)
         layout["privileged"] = slice(at, at + frames + 2 * dofs + 12 * links)

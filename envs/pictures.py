@@ -49,7 +49,7 @@ class Pictures:
 
     def __init__(self, sim: BatchSim) -> None:
         self._sim = sim
-        self._renderers: dict[float, Any] = {}
+        self._renderers: dict[Any, Any] = {}
         self._azimuth: dict[int, float] = {}
 
     def of(self, i: int) -> np.ndarray:
@@ -62,10 +62,11 @@ class Pictures:
         from questsim.viewing.render import Figure, SceneRenderer, object_markers
 
         sim, height = self._sim, float(self._sim.heights[i])
-        if height not in self._renderers:
+        body = (height, sim.bodies.proportions[i])
+        if body not in self._renderers:
             field = sim.placement.field
-            figure = Figure(height, body=sim.avatar.own)
-            self._renderers[height] = SceneRenderer([figure], ground=field)
+            figure = Figure(height, body=sim.avatar.own, proportions=body[1])
+            self._renderers[body] = SceneRenderer([figure], ground=field)
         pose = sim.qpos[i, : 7 + len(sim.avatar.dofs)]
         if i not in self._azimuth:
             self._azimuth[i] = three_quarter_azimuth(pose[None, 3:7])
@@ -74,7 +75,7 @@ class Pictures:
             markers += object_markers(shapes_of(thing, height), place[:3], place[3:])
         lookat = np.array([pose[0], pose[1], sim.floor[i] + height / 2.0])
         camera = Camera(lookat, 2.0 * height, self._azimuth[i])
-        return self._renderers[height].render([pose], camera, markers)
+        return self._renderers[body].render([pose], camera, markers)
 
     def close(self) -> None:
         """Free the OpenGL contexts."""

@@ -24,10 +24,16 @@ class Sampler:
         by_kind: whether kinds of motion are drawn in proportion to the square root of their frames.
             Then 20 clips of one kind still appear beside 400 of another.
         tail: number of frames at a clip's end in which no episode begins.
+        of_clip: ``(C,)`` group of each clip, if only the clips of a group are drawn.
     """
 
     def __init__(
-        self, reference: Reference, weighted: bool, by_kind: bool = False, tail: int = 2
+        self,
+        reference: Reference,
+        weighted: bool,
+        by_kind: bool = False,
+        tail: int = 2,
+        of_clip: np.ndarray | None = None,
     ) -> None:
         self._start = reference.start
         self._starts_in_clip = np.maximum(reference.end - reference.start - tail, 1)
@@ -47,18 +53,40 @@ class Sampler:
         self.clip_failure = np.full(len(bins), 0.5)
         self.bin_failure = np.full(len(self._clip_of_bin), 0.5)
         self._cumulative: np.ndarray | None = None
+        self._of_bin = None if of_clip is None else of_clip[self._clip_of_bin]
         self.log: list[tuple[np.ndarray, ...]] | None = None
         """Where a list is put here, it gets the arguments of every ``record``."""
 
-    def draw(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Clips and first frames in them, int64 ``(m,)`` each, for numbers ``(m, 2)`` in [0, 1)."""
-        if self._cumulative is None:
-            weights = self.weights()
-            self._cumulative = np.cumsum(weights / weights.sum())
-        pick = np.searchsorted(self._cumulative, numbers[:, 0], side="right")
-        pick = np.minimum(pick, len(self._cumulative) - 1)
+    def draw(
+        self, numbers: np.ndarray, groups: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Clips and first frames in them, int64 ``(m,)`` each, for numbers ``(m, 2)`` in [0, 1).
+
+        Args:
+            numbers: uniform random numbers.
+            groups: ``(m,)`` draw only clips of these groups.
+        """
+        if groups is not None and self._of_bin is not None:
+            pick = self._pick_of(groups, numbers[:, 0])
+        else:
+            if self._cumulative is None:
+                weights = self.weights()
+                self._cumulative = np.cumsum(weights / weights.sum())
+            pick = np.searchsorted(self._cumulative, numbers[:, 0], side="right")
+            pick = np.minimum(pick, len(self._cumulative) - 1)
         within = (numbers[:, 1] * self._bin_frames[pick]).astype(np.int64)
         return self._clip_of_bin[pick], self._bin_start[pick] + within
+
+    def _pick_of(self, groups: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+        """Bins ``(m,)`` of the groups ``(m,)``."""
+        weights, pick = self.weights(), np.zeros(len(groups), np.int64)
+        for group in np.unique(groups):
+            bins = np.flatnonzero(self._of_bin == group)
+            cumulative = np.cumsum(weights[bins] / weights[bins].sum())
+            mine = groups == group
+            at = np.searchsorted(cumulative, numbers[mine], side="right")
+            pick[mine] = bins[np.minimum(at, len(bins) - 1)]
+        return pick
 
     def weights(self) -> np.ndarray:
         """Unnormalised weight of each bin: frames times failure rates of clip and moment."""

@@ -11,6 +11,7 @@ import numpy as np
 from envs.objects import WorldObject, add_objects
 from envs.terrain import Terrain, height_field
 from questsim.body import Body, build_body, let_links_collide, scaled_spec
+from questsim.body_proportions import Proportions
 
 _SOLE = "sole"
 _GROUND = 2
@@ -23,21 +24,22 @@ def build_world(
     self_collision: bool = False,
     terrain: Terrain | None = None,
     objects: tuple[WorldObject, ...] = (),
+    proportions: Proportions | None = None,
 ) -> Body:
     """The avatar of a person ``height_m`` tall on the ground; cached, do not write to the model.
 
     Args:
-        height_m, preset, self_collision: as of ``questsim.body.build_body``.
+        height_m, preset, self_collision, proportions: as of ``questsim.body.build_body``.
         terrain: the ground; None for a plane.
         objects: those behind the avatar in ``qpos``, seven numbers each.
 
     Raises:
         InputError: height out of range or unknown preset.
     """
-    flat = build_body(height_m, preset, self_collision)
+    flat = build_body(height_m, preset, self_collision, proportions)
     if terrain is None and not objects:
         return flat
-    return _build(flat.height_m, preset, self_collision, terrain, objects)
+    return _build(flat.height_m, preset, self_collision, terrain, objects, proportions)
 
 
 @lru_cache(maxsize=128)
@@ -47,8 +49,9 @@ def _build(
     self_collision: bool,
     terrain: Terrain | None,
     objects: tuple[WorldObject, ...],
+    proportions: Proportions | None,
 ) -> Body:
-    spec = scaled_spec(height_m, preset)
+    spec = scaled_spec(height_m, preset, proportions)
     if self_collision:
         let_links_collide(spec)
     if terrain is not None:
@@ -57,7 +60,8 @@ def _build(
     if terrain is not None:
         _stand_on_points(spec)
     # Torque limits and damping of the avatar alone, independent of its surroundings.
-    return replace(build_body(height_m, preset, self_collision), model=spec.compile())
+    flat = build_body(height_m, preset, self_collision, proportions)
+    return replace(flat, model=spec.compile())
 
 
 def _stand_on_points(spec: mujoco.MjSpec) -> None:

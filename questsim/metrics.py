@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from questsim import metrics_terms as terms
+from questsim.bodies import OwnBody
 from questsim.body import DEFAULT_HEIGHT_M, build_body
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
@@ -82,6 +83,8 @@ class Rollout:
         seconds_simulated: simulated time.
         seconds_wall: wall-clock time; in a batch, this rollout's share. 0 if unknown.
         objects: the objects of the scene, with ``F`` poses each.
+        body: a body of the user's own that performed it; None for our avatar.
+        root: ``(F, 7)`` poses of that body's root link, which need not carry our pelvis.
 
     Raises:
         InputError: shapes do not agree, a number is not finite or a quaternion not of unit length.
@@ -102,6 +105,8 @@ class Rollout:
     seconds_simulated: float = 0.0
     seconds_wall: float = 0.0
     objects: tuple[ObjectTrack, ...] = ()
+    body: OwnBody | None = None
+    root: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         frames = len(self.link_position)
@@ -134,7 +139,12 @@ class Rollout:
 
     @property
     def qpos(self) -> np.ndarray:
-        """The avatar's poses ``(F, 40)``: the pelvis is the root, then the joint angles."""
+        """The avatar's poses ``(F, 40)``: the pelvis is the root, then the joint angles.
+
+        Of a body of the user's own, ``(F, 7 + D)``: its root link and its hinges.
+        """
+        if self.root is not None:
+            return np.concatenate([self.root, self.joint_angles], axis=-1)
         root = [self.link_position[:, 0], self.link_quat[:, 0]]
         return np.concatenate([*root, self.joint_angles], axis=-1)
 

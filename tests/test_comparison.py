@@ -268,6 +268,17 @@ def test_a_figure_there_is_nothing_to_average_for_is_a_dash(tmp_path):
     )
 
 
+def test_the_main_tables_have_intervals_where_there_are_more_than_ten_clips():
+    rng = np.random.default_rng(1)
+    clips = [summarise({"pos_cm": rng.normal(5.0, 1.0, 40)}, 60.0) for _ in range(11)]
+    row, few = row_of("a", "6", clips, Costs()), row_of("b", "6", clips[:10], Costs())
+    lines = table([row, few], ["pos_cm"], ends=True).splitlines()
+    low, high = row.low["pos_cm"], row.high["pos_cm"]
+    assert low < row.pooled["pos_cm"] < high  # type: ignore[operator]
+    assert lines[2] == f"| a | 6 | {row.pooled['pos_cm']:.2f} ({low:.2f} to {high:.2f}) |"
+    assert lines[3] == f"| b | 6 | {few.pooled['pos_cm']:.2f} |"
+
+
 def test_figures_tell_physics_and_policies_from_poses_and_show_what_is_missing(tmp_path):
     plain: dict[str, float | None] = {"foot_skate_cm_s": 4.0}
     simulated: dict[str, float | None] = {"foot_skate_cm_s": 1.0, "success_percent": 90.0}

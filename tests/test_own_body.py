@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,8 @@ from questsim.motion.clip import Clip
 from questsim.motion.kinematics import clip_from_qpos, sole_points
 from questsim.motion.spec import load_motions
 from questsim.skeleton import FOOT_LINKS, LINKS
+from questsim.viewing import gl
+from questsim.viewing.films import rollout_frames
 
 ROBOT, GYMNASIUM = Path(__file__).parent / "bodies" / "robot.toml", "gymnasium-humanoid"
 SIDES = ("left", "right")
@@ -177,6 +180,25 @@ def test_evaluation_compares_our_links_on_the_other_body(walk):
         assert 1.0 < figures["mpjpe_cm"] < 50.0 and figures["mhpe_cm"] is not None
     start = rollout.link_position[0] - rollout.reference.link_position[0]
     assert np.abs(start).max() < 0.01
+
+
+@pytest.mark.skipif(gl.find_gl() is None, reason=gl.missing_gl())
+def test_a_rollout_of_another_body_is_filmed_in_the_poses_of_its_own_links(walk):
+    agent = ZeroAgent()
+    config = env_config(agent, body=GYMNASIUM)
+    (rollout,) = roll_out(agent, [walk], config)
+    assert config.body is not None
+    body = map_of(config.body)
+    assert rollout.qpos.shape == (len(rollout), 7 + len(body.dofs))
+    # The root is the torso, whose links carry our pelvis.
+    position, _ = body.roles(*poses_of(body, rollout.qpos))
+    np.testing.assert_allclose(position, rollout.link_position, atol=1e-3)
+    assert rollout.root is not None
+    moved = rollout.root + np.array([9.0, 9.0, 9.0, 0.0, 0.0, 0.0, 0.0], np.float32)
+    picture = next(rollout_frames([rollout], 320, 240, 1))
+    empty = next(rollout_frames([replace(rollout, root=moved)], 320, 240, 1))
+    assert picture.shape == (240, 320, 3)
+    assert (picture != empty).any(axis=-1).mean() > 0.02
 
 
 def test_a_policy_is_refused_on_another_body_in_one_line_and_acts_on_its_own(tmp_path, walk):

@@ -6,6 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from envs.config import EnvConfig
+from envs.core import BatchSim
+from envs.terrain import TERRAINS
 from questsim.body import build_body
 from questsim.body_proportions import PARTS, Proportions, drawn_proportions
 from questsim.errors import InputError
@@ -143,3 +146,51 @@ def test_drawn_proportions_differ_by_the_spread_and_repeat() -> None:
     np.testing.assert_allclose(logs.std(axis=0), 0.06, rtol=0.2)
     assert abs(np.corrcoef(logs.T) - np.eye(5)).max() < 0.25
     assert len(LINKS) == 16
+
+
+def test_simulations_play_the_clips_of_their_own_bodies() -> None:
+    stand = synthesise("stand", duration=3.0, seed=1)
+    clips = [WALK, with_proportions(stand, LONG_ARMS), with_proportions(WALK, LONG_ARMS)]
+    sim = BatchSim(clips, EnvConfig(observe_proportions=True), 5, seed=4)
+    played = set()
+    for _ in range(12):
+        sim.reset()
+        for i, clip in enumerate(sim.clip):
+            assert sim.bodies.proportions[i] == clips[clip].proportions
+            played.add(int(clip))
+    assert played == {0, 1, 2}
+    seen = sim.observation[:, sim.layout["o_scale"]]
+    np.testing.assert_allclose(seen[0], [WALK.height_m, 1, 1, 1, 1, 1], atol=1e-6)
+    np.testing.assert_allclose(seen[1, 1:], list(LONG_ARMS.parts().values()), atol=1e-6)
+    # The body of simulation 1 stands in the pose of its reference.
+    sim.reset(np.array([1]), clip=2, frame=10)
+    np.testing.assert_allclose(
+        sim.link_positions[1],
+        clips[2].link_position[10] * sim.heights[1] / WALK.height_m,
+        atol=2e-3,
+    )
+    with pytest.raises(InputError, match="for other proportions than those of simulation 0"):
+        sim.reset(np.array([0]), clip=2)
+    with pytest.raises(InputError, match="2 bodies of different proportions, which 1 simulations"):
+        BatchSim(clips, EnvConfig(), 1)
+
+
+def test_drawn_proportions_of_a_batch_differ_between_simulations_and_move_the_reference() -> None:
+    config = EnvConfig(proportions=0.08)
+    sim = BatchSim([WALK] * 4, config, 4, seed=2)
+    assert len(set(sim.bodies.proportions)) == 4 and None not in sim.bodies.proportions
+    sim.reset()
+    assert sim.layout["o_scale"].stop - sim.layout["o_scale"].start == 1
+    for i in range(4):
+        frame = int(sim.frame[i] - sim.reference.start[sim.clip[i]])
+        placed = sim.placed_clip(i, WALK)
+        np.testing.assert_allclose(placed.link_position[frame], sim.link_positions[i], atol=2e-3)
+        hand = LINKS.index("left_hand")
+        arm = np.linalg.norm(sim.link_positions[i, hand] - sim.link_positions[i, hand - 1])
+        body = sim.bodies.proportions[i]
+        assert body is not None
+        assert arm == pytest.approx(0.2555 * body.parts()["arms"] * sim.heights[i] / 1.75, rel=1e-3)
+    with pytest.raises(InputError, match="proportions: does not go with a terrain"):
+        EnvConfig(proportions=0.1, terrain=TERRAINS["rough"])
+    with pytest.raises(InputError, match=r"proportions is 0.5, not 0 to 0.15"):
+        EnvConfig(proportions=0.5)

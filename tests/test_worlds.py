@@ -87,6 +87,8 @@ def test_the_table_has_every_row_of_walks_and_gestures(of_ghost: dict) -> None:
     }
     assert set(rows["slope_8deg"]["settings"]) == {"up", "down", "across"}
     assert 0.1 < of_ghost["speed"]["ratio_to_flat"] < 3.0
+    # Intervals need more than ten clips.
+    assert [name for name, row in rows.items() if row["interval"] is not None] == pushes
 
 
 def test_who_follows_and_stays_up_succeeds_and_who_falls_does_not(of_ghost: dict) -> None:
@@ -108,6 +110,7 @@ def test_a_ball_that_nobody_touches_is_no_success(monkeypatch) -> None:
 def test_the_table_reads_as_text(of_ghost: dict) -> None:
     text = format_worlds(of_ghost)
     assert "rough ground, ±4 cm" in text and "90%  reached" in text
+    assert "100.0%  100.0 to 100.0     100%  reached" in text
     assert len(text.splitlines()) == len(WORLDS) + 3 + 2
 
 

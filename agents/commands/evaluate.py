@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 _OF_PHYSICS = (
     "env",
     "height",
+    "own_proportions",
     "avatar_height",
     "terrain",
     "objects",
@@ -87,7 +88,7 @@ def evaluate(args: EvaluateArgs) -> int:
     check_random(agent, config, args.seeds)
     if args.seeds > 1 and args.assist:
         raise InputError("does not go with --seeds", "--assist", "give one of them")
-    clips = load_motions(args.motions, seed=args.seed)
+    clips = load_motions(args.motions, seed=args.seed, own_proportions=args.own_proportions)
     if args.max_clips is not None:
         clips = choose_clips(clips, args.max_clips)
     filmed(args, clips)
@@ -125,7 +126,7 @@ def _refuse_unused(args: EvaluateArgs, options: Sequence[str]) -> None:
 
 def _refuse_own_body(args: EvaluateArgs, config: EnvConfig) -> None:
     """Refuse options that only our avatar has."""
-    for option in ("assist", "video", "save_motion"):
+    for option in ("assist", "save_motion", "own_proportions"):
         if config.body is not None and getattr(args, option):
             raise InputError(
                 "does not go with a body of your own",

@@ -94,7 +94,7 @@ def compare(args: CompareArgs) -> int:
         with whole_file(out / name) as path:
             draw(scored, path)
     for names in (*TABLES.values(), COSTS):
-        print(table(rows, names), end="\n\n")
+        print(table(rows, names, ends=True), end="\n\n")
     print(f"written to {out}")
     if filmed:
         from agents.comparison.film import film

@@ -117,7 +117,9 @@ def _columns(rows: Sequence[Row]) -> list[str]:
     return list(dict.fromkeys(name for row in rows for name in row.pooled))
 
 
-def table(rows: Sequence[Row], names: Sequence[str], weighting: str = "pooled") -> str:
+def table(
+    rows: Sequence[Row], names: Sequence[str], weighting: str = "pooled", *, ends: bool = False
+) -> str:
     """A Markdown table of some figures.
 
     Args:
@@ -125,6 +127,7 @@ def table(rows: Sequence[Row], names: Sequence[str], weighting: str = "pooled") 
         names: keys of ``LABELS``.
         weighting: ``equal`` or ``pooled``; ``spread`` for the mean over all frames with standard
             deviation and interval.
+        ends: add the 95 % intervals of the means over all frames.
     """
     head = ["agent", "scenario", *(LABELS[name] for name in names)]
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
@@ -133,6 +136,8 @@ def table(rows: Sequence[Row], names: Sequence[str], weighting: str = "pooled") 
         cells = [_cell(figures.get(name)) for name in names]
         if weighting == "spread":
             cells = [_spread(row, name) for name in names]
+        elif ends and weighting == "pooled":
+            cells = [c + _interval(row, n) for c, n in zip(cells, names, strict=True)]
         lines.append(f"| {' | '.join([row.agent, row.scenario, *cells])} |")
     return "\n".join(lines)
 
@@ -148,16 +153,18 @@ def _spread(row: Row, name: str) -> str:
     told = _cell(row.pooled.get(name))
     if name in row.std:
         told += f" ± {row.std[name]:.2f}"
-    if name in row.low:
-        told += f" ({row.low[name]:.2f} to {row.high[name]:.2f})"
-    return told
+    return told + _interval(row, name)
+
+
+def _interval(row: Row, name: str) -> str:
+    return f" ({row.low[name]:.2f} to {row.high[name]:.2f})" if name in row.low else ""
 
 
 def tables(rows: Sequence[Row]) -> str:
     """All tables as Markdown: means over all frames, then the same with clips weighted equally."""
-    parts = []
+    parts = ["95 % intervals over clips are in brackets, if there are more than ten clips.", ""]
     for title, names in TABLES.items():
-        parts += [f"## {title}", "", table(rows, names), ""]
+        parts += [f"## {title}", "", table(rows, names, ends=True), ""]
     parts += ["## Costs", "", table(rows, COSTS), ""]
     parts += ["# Standard deviations over frames, 95 % intervals over clips", ""]
     for title, names in TABLES.items():

@@ -37,6 +37,8 @@ class EvaluateArgs(_FollowArgs):
     by default the one that the policy was trained for."""
     height: float | None = None
     """Scale avatar and clips to this stature in metres; by default each motion's own."""
+    own_proportions: bool = False
+    """Give each motion's avatar the proportions of its performer, not only the stature."""
     avatar_height: float | None = None
     """Stature in metres of an avatar that differs from its user; device signals are scaled."""
     unscaled: float = 0.0

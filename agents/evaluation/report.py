@@ -89,7 +89,8 @@ def performed(rollout: Rollout) -> Clip:
     root = (rollout.link_position[:, 0], rollout.link_quat[:, 0])
     qpos = np.concatenate([*root, rollout.joint_angles], axis=-1)
     about = {"kind": rollout.kind, "style": rollout.style, "licence": rollout.reference.licence}
-    return clip_from_qpos(rollout.name, qpos, rollout.height_m, **about)
+    body = rollout.reference.proportions
+    return clip_from_qpos(rollout.name, qpos, rollout.height_m, body, **about)
 
 
 def filmed(args: EvaluateArgs, clips: list[T]) -> list[T]:

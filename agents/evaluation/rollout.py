@@ -48,6 +48,7 @@ def env_config(
         "future_frames": agent.needs.future_frames,
         "privileged": agent.needs.privileged,
         "body_preset": agent.needs.body_preset,
+        "observe_proportions": agent.needs.observe_proportions,
         "body": agent.needs.body if body is None else body,
     }
     if env_id is not None:
@@ -113,6 +114,7 @@ class Recorder:
         self.position = np.zeros((frames, n, NUM_LINKS, 3), np.float32)
         self.quat = np.zeros((frames, n, NUM_LINKS, 4), np.float32)
         self.angles = np.zeros((frames, n, len(sim.avatar.dofs)), np.float32)
+        self.root = np.zeros((frames, n, 7), np.float32)
         self.clearance = np.zeros((frames, n, 2), np.float32)
         self.force = np.zeros((frames, n, 2), np.float32)
         self.objects = np.zeros((frames, *sim.objects.pose.shape), np.float32)
@@ -124,6 +126,7 @@ class Recorder:
         sim, at = self._sim, self._at
         self.position[at], self.quat[at] = sim.avatar.our_links(sim.link_positions, sim.link_quats)
         self.angles[at] = sim.joint_angles
+        self.root[at] = sim.qpos[:, :7]
         self.clearance[at] = sim.foot_clearance
         self.force[at] = sim.contact_force[..., 2]
         self.objects[at] = sim.objects.pose
@@ -191,6 +194,8 @@ def _roll_out_batch(
                 seconds_simulated=followed.frames[i] / FPS,
                 seconds_wall=followed.seconds * float(followed.frames[i]) / steps,
                 objects=recorder.objects_of(i),
+                body=config.body,
+                root=None if config.body is None else recorder.root[:frames, i],
             )
         )
     return rollouts

@@ -34,6 +34,7 @@ from questsim.errors import InputError
 from questsim.evaluation_report import LABELS, write_report
 from questsim.files import whole_file
 from questsim.motion.clip import Clip
+from questsim.statistics import interval
 
 SCORECARD_FILE, TRIAL_FILE = "scorecard.json", "trial.json"
 _BATCH_CLIPS = 64
@@ -233,10 +234,10 @@ def _evaluated(
     trial = job.trial
     if trial.push_n is not None:
         good = pushed(job.agent, job.clips[0], job.config, float(trial.push_n), threads)
-        figures = _share(float(np.mean(good)))
+        figures = _share(float(np.mean(good)), interval(np.asarray(good, float)))
     elif trial.world is not None:
         row = world_row(trial.world, job.agent, job.clips, job.config, threads, 0)
-        figures = _share(row["success"]) | {"world": row}
+        figures = _share(row["success"], row["interval"]) | {"world": row}
     else:
         begin_at = first_answers(job.clips) if trial.estimate and first_answers else None
         rollouts = []
@@ -258,8 +259,14 @@ def _evaluated(
     return json.loads(json.dumps(figures))
 
 
-def _share(success: float) -> dict[str, Any]:
-    return {"all": {"success": success}, "completed": {}, "by_kind": {}, "by_style": {}}
+def _share(success: float, ends: Sequence[float] | None) -> dict[str, Any]:
+    return {
+        "all": {"success": success},
+        "completed": {},
+        "intervals": {"all": {"success": None if ends is None else list(ends)}},
+        "by_kind": {},
+        "by_style": {},
+    }
 
 
 def _report(rollouts: list[Any], context: dict[str, Any], out: Path | None) -> dict[str, Any]:
@@ -267,7 +274,8 @@ def _report(rollouts: list[Any], context: dict[str, Any], out: Path | None) -> d
     from questsim.metrics import evaluate
 
     metrics = evaluate(rollouts) if out is None else write_report(rollouts, out, context)
-    return {key: metrics[key] for key in ("all", "completed", "by_kind", "by_style")}
+    kept = ("all", "completed", "intervals", "by_kind", "by_style")
+    return {key: metrics[key] for key in kept}
 
 
 def _rows(figures: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -285,6 +293,7 @@ def _rows(figures: Mapping[str, Any]) -> list[dict[str, Any]]:
             asdict(bar)
             | {
                 "value": value,
+                "interval": ends_of(figures[bar.trial], bar.metric),
                 "bar_reached": bar.reached(value, bar.bar),
                 "goal_reached": bar.reached(value, bar.goal),
             }
@@ -298,6 +307,19 @@ def figure(metrics: Mapping[str, Any], metric: str) -> float | None:
     return 100.0 * value if metric == "success" and value is not None else value
 
 
+def ends_of(metrics: Mapping[str, Any], metric: str) -> list[float] | None:
+    """The 95 % interval of ``figure`` over clips; None for fewer than 11 clips."""
+    column = "all" if metric == "success" else "completed"
+    ends = metrics.get("intervals", {}).get(column, {}).get(metric)
+    if ends is None:
+        return None
+    return [100.0 * end for end in ends] if metric == "success" else list(ends)
+
+
+def _between(ends: Sequence[float] | None) -> str:
+    return "" if ends is None else f"{ends[0]:.2f} to {ends[1]:.2f}"
+
+
 def format_scorecard(card: Mapping[str, Any], width: int = 100) -> str:
     """The scorecard as text for a terminal, followed by training clips beside test clips.
 
@@ -306,14 +328,17 @@ def format_scorecard(card: Mapping[str, Any], width: int = 100) -> str:
         width: columns of the terminal.
     """
     table = Table(title=f"{card['agent']} on {card['motions']}", title_justify="left")
-    for column in ("", "figure", "value", "bar", "goal", "reached"):
-        table.add_column(column, justify="right" if column in ("value", "bar", "goal") else "left")
+    numbers = ("value", "95 % over clips", "bar", "goal")
+    for column in ("", "figure", *numbers, "reached"):
+        table.add_column(column, justify="right" if column in numbers else "left")
     for row in card["rows"]:
         reached = "goal" if row["goal_reached"] else "bar" if row["bar_reached"] else "no"
         table.add_row(
             TRIALS[row["trial"]].says,
             LABELS[row["metric"]],
-            *("-" if row[key] is None else f"{row[key]:.2f}" for key in ("value", "bar", "goal")),
+            "-" if row["value"] is None else f"{row['value']:.2f}",
+            _between(row.get("interval")),
+            *("-" if row[key] is None else f"{row[key]:.2f}" for key in ("bar", "goal")),
             reached,
         )
     console = Console(file=io.StringIO(), width=width, color_system=None, markup=False)

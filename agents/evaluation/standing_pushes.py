@@ -12,6 +12,7 @@ from agents.agent import Agent
 from envs.config import EnvConfig
 from envs.core import BatchSim
 from questsim.motion.clip import FPS, Clip
+from questsim.statistics import interval
 
 DIRECTIONS = 16
 NEAR_M = 0.10
@@ -44,6 +45,7 @@ def standing_rows(agent: Agent, config: EnvConfig, threads: int = 1) -> list[dic
                 "clips": DIRECTIONS,
                 "succeeded": int(near.sum()),
                 "success": round(success, 4),
+                "interval": rounded(interval(near.astype(float))),
                 "bar": bar,
                 "reached": success >= bar,
                 "settings": {"push": {"clips": DIRECTIONS, "succeeded": int(near.sum())}},
@@ -51,6 +53,11 @@ def standing_rows(agent: Agent, config: EnvConfig, threads: int = 1) -> list[dic
             }
         )
     return rows
+
+
+def rounded(ends: tuple[float, float] | None) -> list[float] | None:
+    """An interval for a record."""
+    return None if ends is None else [round(end, 4) for end in ends]
 
 
 def standing_clip() -> Clip:

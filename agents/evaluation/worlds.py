@@ -17,7 +17,7 @@ import numpy as np
 
 from agents.agent import Agent
 from agents.evaluation.follow import choose_clips, evaluation_sim, follow
-from agents.evaluation.standing_pushes import standing_rows
+from agents.evaluation.standing_pushes import rounded, standing_rows
 from agents.run_folder import plain
 from envs.config import EnvConfig
 from envs.core import BatchSim
@@ -27,6 +27,7 @@ from envs.terrain import Terrain
 from questsim.errors import InputError
 from questsim.files import whole_file
 from questsim.motion.clip import FPS, Clip
+from questsim.statistics import interval
 
 SCHEMA, SCHEMA_VERSION = "questsim-worlds", 1
 UP_SHARE = 0.5
@@ -175,10 +176,12 @@ def world_row(
 ) -> dict[str, Any]:
     """A row of the table; the arguments are those of ``run_worlds``, the clips ``world_clips``."""
     parts = {}
+    shares = np.zeros(len(clips))
     by_group: dict[str, list[bool]] = {}
     for name, changes in world.settings.items():
         good = _good(world.success, agent, clips, replace(config, **changes), threads, seed)
         parts[name] = {"clips": len(clips), "succeeded": int(good.sum())}
+        shares += good / len(world.settings)
         for clip, succeeded in zip(clips, good, strict=True):
             by_group.setdefault(group_of(clip.kind) or "", []).append(bool(succeeded))
     clips_run = sum(part["clips"] for part in parts.values())
@@ -190,6 +193,7 @@ def world_row(
         "clips": clips_run,
         "succeeded": succeeded,
         "success": round(success, 4),
+        "interval": rounded(interval(shares)),
         "bar": world.bar,
         "reached": None if world.bar is None else success >= world.bar,
         "settings": parts,
@@ -298,18 +302,20 @@ def terrain_speed(
 
 
 def format_worlds(table: dict[str, Any]) -> str:
-    """The table as text."""
-    lines = [f"{'world':58}  {'clips':>5}  success      bar"]
+    """The table as text; the interval is of 95 %, over clips."""
+    lines = [f"{'world':58}  {'clips':>5}  success      interval      bar"]
     for row in table["rows"]:
         bar = "" if row["bar"] is None else f"{row['bar']:7.0%}"
         verdict = {True: "reached", False: "missed", None: ""}[row["reached"]]
-        figures = f"{row['clips']:5}  {row['success']:7.1%}  {bar:>7}  {verdict}"
+        ends = row.get("interval")
+        between = "" if ends is None else f"{100 * ends[0]:.1f} to {100 * ends[1]:.1f}"
+        figures = f"{row['clips']:5}  {row['success']:7.1%}  {between:>12}  {bar:>7}  {verdict}"
         lines.append(f"{row['label']:58}  {figures}".rstrip())
     speed = table["speed"]
     verdict = "reached" if speed["reached"] else "missed"
     lines.append(
         f"{'environment steps/s, rough over flat ground':58}  {'':5}  "
-        f"{speed['ratio_to_flat']:7.2f}  {speed['bar']:7.2f}  {verdict}"
+        f"{speed['ratio_to_flat']:7.2f}  {'':12}  {speed['bar']:7.2f}  {verdict}"
     )
     return "\n".join(lines)
 

@@ -99,7 +99,8 @@ class Balance(nn.Module):
 
     def use_layout(self, layout: Layout) -> None:
         """Find the columns of its inputs in the observation."""
-        self.columns = torch.as_tensor(layout.columns(("o_sim", "o_scale")))
+        height = layout.columns(("o_scale",))[:1]  # proportions may follow it
+        self.columns = torch.as_tensor(np.concatenate([layout.columns(("o_sim",)), height]))
         if self.reference:
             self.errors = torch.as_tensor(layout.columns(("tracking_errors",)))
 

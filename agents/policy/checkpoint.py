@@ -35,6 +35,8 @@ FORMAT, FORMAT_VERSION = "questsim-policy", 1
 WEIGHTS_FILE, CARD_FILE, RESUME_FILE = "policy.safetensors", POLICY_CARD, "resume.pt"
 CRITIC_FILE = "critic.safetensors"
 CRITIC = "critic."
+_LATER = ("body", "observe_proportions")
+"""Needs that a description has only where they are used: earlier ones have none."""
 LARGEST = 65_536
 """Inputs or outputs of a layer."""
 
@@ -78,7 +80,7 @@ def describe(policy: TorquePolicy, needs: Needs) -> dict[str, Any]:
         "fps": FPS,
         "joints": list(avatar.dofs),
         "links": list(avatar.links),
-        "needs": {k: v for k, v in asdict(needs).items() if k != "body" or v is not None},
+        "needs": {k: v for k, v in asdict(needs).items() if k not in _LATER or v},
         "network": {k: list(v) if isinstance(v, tuple) else v for k, v in spec.items()},
         "observation": {name: list(block) for name, block in layout.blocks.items()},
     }

@@ -53,6 +53,13 @@ class TrainArgs:
     docs/body.md."""
     heights: tuple[float, float] | None = None
     """Statures in metres to train with; by default each motion's own."""
+    own_proportions: bool = False
+    """Give each motion's avatar the proportions of its performer, not only the stature."""
+    proportions: float = 0.0
+    """Draw proportions for the avatars: standard deviation of the logarithms of arms, legs, trunk
+    and widths, 0 to 0.15, e.g. 0.06."""
+    observe_proportions: bool = False
+    """Let the policy observe the avatar's proportions beside its stature."""
     mirrored: bool = False
     """Also train on the mirror image of every clip."""
     vary: float = 0.0

@@ -178,10 +178,18 @@ def _outcome(out: Path) -> str:
 
 
 def load_clips(args: TrainArgs) -> list[Clip]:
-    """The clips of ``--motions``, at the data's own statures."""
+    """The clips of ``--motions``, at the data's own statures and, if asked for, proportions."""
     from questsim.motion.spec import load_motions
 
-    return load_motions(args.motions, mirrored=args.mirrored, seed=args.seed)
+    if args.own_proportions and args.proportions:
+        what = "does not go with --own-proportions"
+        raise InputError(what, "--proportions", "give one of them")
+    return load_motions(
+        args.motions,
+        mirrored=args.mirrored,
+        seed=args.seed,
+        own_proportions=args.own_proportions,
+    )
 
 
 def _estimates(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
@@ -293,6 +301,7 @@ def _run_stage(
                 privileged="privileged" in config.policy.actor_blocks,
                 body_preset=preset.body_preset,
                 body=env_config.body,
+                observe_proportions=args.observe_proportions,
             ),
             folder=args.out / name,
             budget=_budget(name, args, preset),
@@ -340,6 +349,8 @@ def _env_config(args: TrainArgs, preset: Preset, config: StageConfig) -> EnvConf
         randomisation=None if args.randomisation == Randomisation() else args.randomisation,
         starts=None if args.starts == Starts() else args.starts,
         body=None if args.body is None else read_body(args.body),
+        proportions=args.proportions,
+        observe_proportions=args.observe_proportions,
     )
 
 
@@ -373,7 +384,8 @@ def _validation(args: TrainArgs, preset: Preset) -> list[Clip]:
     for option, given in (("--hold-out", args.hold_out), ("--estimates", args.estimates)):
         if given:
             raise InputError(f"does not go with {option}", "--validation", "leave one out")
-    return choose_clips(load_motions(args.validation, seed=args.seed), preset.validation_clips)
+    clips = load_motions(args.validation, seed=args.seed, own_proportions=args.own_proportions)
+    return choose_clips(clips, preset.validation_clips)
 
 
 def _budget(name: str, args: TrainArgs, preset: Preset) -> Budget:

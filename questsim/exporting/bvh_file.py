@@ -65,7 +65,7 @@ def write_avatar_bvh(path: Path, clip: Clip) -> None:
         }.items()
     }  # fmt: skip
     _write(
-        path, LINKS, LINK_PARENTS, link_offsets() * ratio, clip.link_position[:, 0],
+        path, LINKS, LINK_PARENTS, link_offsets(clip.proportions) * ratio, clip.link_position[:, 0],
         local_quats(clip.link_quat, LINK_PARENTS), FPS, ends,
     )  # fmt: skip
 

@@ -69,14 +69,15 @@ def avatar_glb(height_m: float, clip: Clip | None = None, devices: bool = False)
     colours = list(vars(AVATAR).items())
     file.materials = [_material(name, rgba) for name, rgba in colours]
     material = {name: number for number, (name, _) in enumerate(colours)}
-    offsets = y_up(link_offsets()) * ratio
+    body = None if clip is None else clip.proportions
+    offsets = y_up(link_offsets(body)) * ratio
     for link, name in enumerate(LINKS):
         children = [i for i, p in enumerate(LINK_PARENTS) if p == link and i != link]
         node = gltf.Node(name=name, children=children, mesh=link)
         node.translation = offsets[link].tolist()
         file.nodes.append(node)
         file.meshes.append(gltf.Mesh(name=name))
-    for piece in costume_pieces(devices):
+    for piece in costume_pieces(devices, body):
         attributes = gltf.Attributes(
             POSITION=_vectors(buffer, y_up(piece.vertices) * ratio),
             NORMAL=_vectors(buffer, y_up(piece.normals)),

@@ -84,7 +84,9 @@ def _rendered(clip: Clip, frames: np.ndarray, cameras: Sequence[Camera]) -> Iter
 
     width, height = TILE
     # Twice as large and reduced: shadows have no smooth edges otherwise.
-    with SceneRenderer([Figure(clip.height_m)], 2 * width, 2 * height) as renderer:
+    with SceneRenderer(
+        [Figure(clip.height_m, proportions=clip.proportions)], 2 * width, 2 * height
+    ) as renderer:
         for frame, camera in zip(frames, cameras, strict=True):
             picture = renderer.render([clip.qpos[frame]], camera)
             yield np.asarray(Image.fromarray(picture).reduce(2))

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from questsim.body import DEFAULT_HEIGHT_M, scaled_spec
+from questsim.body_proportions import Proportions
 
 DEVICE_SITES = ("headset", "left_controller", "right_controller")
 """Sites of the MJCF at which the devices are worn."""
@@ -61,18 +62,21 @@ REFERENCE = Look(
 """The recorded person: blue all over."""
 
 
-def figure_spec(height_m: float, look: Look, devices: bool = True) -> mujoco.MjSpec:
+def figure_spec(
+    height_m: float, look: Look, devices: bool = True, proportions: Proportions | None = None
+) -> mujoco.MjSpec:
     """A figure for rendering: the physics body's links and joints with the visual shapes.
 
     Args:
         height_m: stature, 1.2 to 2.2 m.
         look: the colours.
         devices: whether the figure wears the headset and holds the controllers.
+        proportions: of the body.
 
     Raises:
         InputError: height out of range.
     """
-    spec = scaled_spec(height_m)
+    spec = scaled_spec(height_m, proportions=proportions)
     for unseen in (*spec.sensors, *spec.actuators, *spec.excludes, *spec.lights):
         spec.delete(unseen)
     for name, rgba in vars(look).items():
@@ -104,9 +108,9 @@ class Piece:
     faces: np.ndarray
 
 
-def costume_pieces(devices: bool = True) -> list[Piece]:
+def costume_pieces(devices: bool = True, proportions: Proportions | None = None) -> list[Piece]:
     """The whole costume of the 1.75 m body as meshes, for viewers other than MuJoCo's."""
-    spec = scaled_spec()
+    spec = scaled_spec(proportions=proportions)
     return [
         Piece(link, material, *convex_hull(_scaled(blobs, 1.0)))
         for link, material, blobs in _worn(spec, 1.0, devices)

@@ -6,10 +6,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Literal, Protocol, TypeVar
+from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 
+from questsim.bodies import map_of
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
 from questsim.heightfield import HeightField
@@ -18,9 +19,9 @@ from questsim.metrics_terms import mpjpe_cm
 from questsim.motion.clip import FPS, Clip
 from questsim.viewing.camera import Camera, follow, three_quarter_azimuth
 from questsim.viewing.captions import caption
-from questsim.viewing.costume import REFERENCE
+from questsim.viewing.costume import REFERENCE, Look
 from questsim.viewing.outline import outline_points
-from questsim.viewing.render import Figure, SceneRenderer, object_markers
+from questsim.viewing.render import Figure, SceneRenderer, device_markers, object_markers
 from questsim.viewing.video import write_video
 
 
@@ -55,7 +56,9 @@ def clip_frames(
         NoGLError: there is no OpenGL library to render with.
     """
     cameras = clip_cameras(clip, width / height)
-    with SceneRenderer([Figure(clip.height_m)], width, height) as renderer:
+    with SceneRenderer(
+        [Figure(clip.height_m, proportions=clip.proportions)], width, height
+    ) as renderer:
         for frame in range(0, len(clip), stride):
             picture = renderer.render([clip.qpos[frame]], cameras[frame])
             time = f"{frame / FPS:.2f} s"
@@ -131,7 +134,8 @@ def _shot(rollout: Rollout, aspect: float, layout: Layout, ground: HeightField |
 def _picture(renderer: SceneRenderer, shot: _Shot, frame: int, legend: str) -> np.ndarray:
     """One tile: the avatar with the user's devices as markers, the person, objects, captions."""
     rollout = shot.rollout
-    markers = renderer.device_markers(shot.person[frame], 1, -shot.aside[frame])
+    clip = rollout.reference
+    markers = device_markers(clip.link_position[frame], clip.link_quat[frame], clip.height_m)
     for obj in rollout.objects:
         markers += object_markers(obj.parts, obj.position[frame], obj.quat[frame])
     picture = renderer.render(
@@ -172,13 +176,13 @@ def rollout_frames(
     rows = -(-len(rollouts) // columns)
     tile_width, tile_height = width // columns, height // rows
     shots = [_shot(rollout, tile_width / tile_height, layout, ground) for rollout in rollouts]
-    heights = sorted({rollout.height_m for rollout in rollouts})
     person = REFERENCE if layout == "beside" else REFERENCE.faded(_GHOST_OPACITY)
-    renderers: dict[float, SceneRenderer] = {}
+    renderers: dict[Any, SceneRenderer] = {}
     try:
-        for h in heights:
-            figures = [Figure(h, devices=False), Figure(h, person, devices=layout == "beside")]
-            renderers[h] = SceneRenderer(figures, tile_width, tile_height, ground)
+        for rollout in rollouts:
+            if (key := _body_of(rollout)) not in renderers:
+                figures = _figures(rollout, person, devices=layout == "beside")
+                renderers[key] = SceneRenderer(figures, tile_width, tile_height, ground)
         page = np.full((height, width, 3), 255, np.uint8)
         fps = rollouts[0].fps
         seconds = min(max(len(shot) for shot in shots), round(max_seconds * fps))
@@ -190,12 +194,26 @@ def rollout_frames(
                     continue
                 drawn[i] = now
                 x, y = i % columns * tile_width, i // columns * tile_height
-                tile = _picture(renderers[shot.rollout.height_m], shot, now, "" if i else LEGEND)
+                tile = _picture(renderers[_body_of(shot.rollout)], shot, now, "" if i else LEGEND)
                 page[y : y + tile_height, x : x + tile_width] = tile
             yield page.copy()
     finally:
         for renderer in renderers.values():
             renderer.close()
+
+
+def _body_of(rollout: Rollout) -> tuple[Any, ...]:
+    return rollout.height_m, rollout.reference.proportions, rollout.body
+
+
+def _figures(rollout: Rollout, person: Look, devices: bool) -> list[Figure]:
+    """The avatar and its user."""
+    own = None if rollout.body is None else map_of(rollout.body)
+    parts, height = rollout.reference.proportions, rollout.height_m
+    return [
+        Figure(height, devices=False, body=own, proportions=parts),
+        Figure(height, person, devices, body=own, proportions=parts),
+    ]
 
 
 def rollout_video(

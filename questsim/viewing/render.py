@@ -10,14 +10,14 @@ import numpy as np
 
 from questsim import rotations as rot
 from questsim.bodies import BodyMap
+from questsim.body_proportions import Proportions
 from questsim.heightfield import HeightField
 from questsim.objects import ObjectShape
-from questsim.skeleton import NUM_DOFS
+from questsim.sensors import device_poses
 from questsim.viewing.camera import FOVY_DEG, Camera
 from questsim.viewing.costume import AVATAR, Look, figure_spec
 from questsim.viewing.gl import use_gl
 
-_QPOS = 7 + NUM_DOFS
 _HORIZON = (0.90, 0.92, 0.945)
 _ZENITH = (0.70, 0.77, 0.86)
 _SUN_DISTANCE_M = 4.0
@@ -54,13 +54,16 @@ class Figure:
         height_m: stature in metres.
         look: colours.
         devices: whether headset and controllers are worn.
-        body: a body of the user's own, in the colours of its MJCF; None for our avatar.
+        body: a body of the user's own, in the colours of its MJCF, or with another look than the
+            avatar's in that of its shirt; None for our avatar.
+        proportions: of our avatar.
     """
 
     height_m: float = 1.75
     look: Look = AVATAR
     devices: bool = True
     body: BodyMap | None = None
+    proportions: Proportions | None = None
 
 
 @dataclass(frozen=True)
@@ -110,6 +113,15 @@ def object_markers(
     return markers
 
 
+def device_markers(position: np.ndarray, quat: np.ndarray, height_m: float) -> list[Marker | Arrow]:
+    """Markers of headset and controllers on links at ``(16, 3)``, turned by ``(16, 4)``."""
+    places, turns = device_poses(position, quat, list(_MARKER_SIZES), height_m)
+    return [
+        Marker(place, rot.quat_to_matrix(turn), size)
+        for place, turn, size in zip(places, turns, _MARKER_SIZES.values(), strict=True)
+    ]
+
+
 class SceneRenderer:
     """Renders figures in given poses; a context manager that frees the OpenGL context.
 
@@ -152,19 +164,6 @@ class SceneRenderer:
     def close(self) -> None:
         """Free the OpenGL context."""
         self._renderer.close()
-
-    def device_markers(
-        self, pose: np.ndarray, figure: int, shift: np.ndarray
-    ) -> list[Marker | Arrow]:
-        """Markers where a figure in a pose ``(40,)`` has its devices, moved by ``shift``."""
-        first = figure * _QPOS
-        self._data.qpos[first : first + _QPOS] = pose
-        mujoco.mj_kinematics(self._model, self._data)
-        markers: list[Marker | Arrow] = []
-        for name, size in _MARKER_SIZES.items():
-            site = self._data.site(f"{figure}/{name}")
-            markers.append(Marker(site.xpos + shift, site.xmat.reshape(3, 3).copy(), size))
-        return markers
 
     def render(
         self,
@@ -230,8 +229,10 @@ def scene_spec(
     for i, figure in enumerate(figures):
         if figure.body is not None:
             person = figure.body.looks()
+            if figure.look is not AVATAR:
+                _paint(person, figure.look.shirt)
         else:
-            person = figure_spec(figure.height_m, figure.look, figure.devices)
+            person = figure_spec(figure.height_m, figure.look, figure.devices, figure.proportions)
         # MuJoCo warns on stderr of every option in which a guest differs from its host.
         spec.option.timestep, spec.option.integrator = (
             person.option.timestep,
@@ -240,6 +241,12 @@ def scene_spec(
         spec.memory = person.memory
         spec.attach(person, prefix=f"{i}/", frame=spec.worldbody.add_frame())
     return spec
+
+
+def _paint(spec: mujoco.MjSpec, rgba: tuple[float, float, float, float]) -> None:
+    """Give every shape of a body one colour."""
+    for geom in spec.geoms:
+        geom.material, geom.rgba = "", rgba
 
 
 def _add_light(spec: mujoco.MjSpec, light: _Light) -> None:
