@@ -17,6 +17,7 @@ import faulthandler
 import io
 import multiprocessing
 import os
+import pickle
 import resource
 import shutil
 import signal
@@ -157,6 +158,9 @@ class _Worker:
             if self.process.exitcode == -signal.SIGXCPU:
                 return Outcome(*self.task, "hung", f"more than {HUNG_S} s of processor time")
             return Outcome(*self.task, "killed", f"exit code {self.process.exitcode}")
+        except (UnicodeDecodeError, pickle.UnpicklingError) as error:  # memory was overwritten
+            self.process.kill()
+            return Outcome(*self.task, "killed", f"an answer that cannot be read: {error}")
         if time.monotonic() > self.until:
             self.process.kill()
             return Outcome(*self.task, "hung", f"no answer in {ASLEEP_S:g} s")

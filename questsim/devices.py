@@ -17,6 +17,7 @@ from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.sensors import DEVICES
 
+MAX_NUMBER = 1e9
 MAX_DISTANCE_M = 1000.0
 """Positions further from the origin than this are rejected."""
 UNIT_TOLERANCE = 1e-2
@@ -186,6 +187,8 @@ def _read_pose(
         )
     if not np.isfinite(numbers).all():
         raise InputError(f"pose of {name} is not finite", "device frame", "leave the device out")
+    if np.abs(numbers).max() > MAX_NUMBER:  # its square may not be finite
+        raise InputError(f"pose of {name} has a number above {MAX_NUMBER:g}", "device frame")
     axes = convention.matrix
     if numbers.shape == (7,):
         place, quat = numbers[:3], numbers[3:]

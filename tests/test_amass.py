@@ -81,6 +81,10 @@ def test_a_smpl_file_gives_the_subject_its_own_skeleton(tmp_path):
     assert large == pytest.approx(1.1 * small)
     knee = read_motion(plain, options)[0].offsets[joint("left_knee")]
     assert np.linalg.norm(knee) == pytest.approx(np.linalg.norm(joints["L_Knee"]))
+    for betas in ([1e200, 0.0], [1e308, 1e308], [500.0, 0.0]):
+        wild = write_amass(tmp_path / "c.npz", betas=np.array(betas))
+        with pytest.raises(InputError, match="further than 10 m"):
+            read_motion(wild, options)
 
 
 def test_the_mean_skeleton_is_symmetric_and_as_tall_as_it_says():

@@ -61,6 +61,7 @@ def test_poses_come_back_from_every_convention(convention, position, quat):
     [
         ({"headset": [0, 0, np.nan, 1, 0, 0, 0]}, "not finite"),
         ({"headset": [0, 0, 1, 2, 0, 0, 0]}, "length 2"),
+        ({"headset": [0, 0, 1, 1e300, 0, 0, 0]}, "above 1e\\+09"),
         ({"hat": [0, 0, 1, 1, 0, 0, 0]}, "unknown device 'hat'"),
         ({"headset": [0, 0, 1]}, "shape"),
         ({"headset": [0, 0, 1e9, 1, 0, 0, 0]}, "further than"),

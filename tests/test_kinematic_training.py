@@ -202,6 +202,19 @@ def test_a_damaged_or_foreign_checkpoint_is_refused(tmp_path):
     (folder / "system.yaml").write_text(text.replace("left_knee", "left_wing"))
     with pytest.raises(InputError, match="joints is not"):
         load_module(folder)
+    for damaged, says in (
+        ("size: ", "spec.size is not a whole number"),
+        ("size: 2.5", "spec.size is not a whole number"),
+        ("size: 10000000", "spec.size is not within 0-4096"),
+        ("size: -3", "spec.size is not within"),
+        ("size: 0", "cannot be built"),
+    ):
+        (folder / "system.yaml").write_text(text.replace("  size: 16", f"  {damaged}", 1))
+        with pytest.raises(InputError, match=says):
+            load_module(folder)
+    (folder / "system.yaml").write_text(text.replace("training: {}", "training:"))
+    with pytest.raises(InputError, match="training is not a table"):
+        load_module(folder)
     (folder / "system.yaml").write_text(text)
     (folder / "system.safetensors").write_bytes(b"nothing")
     with pytest.raises(InputError, match="the weights do not fit"):

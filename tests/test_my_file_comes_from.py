@@ -20,6 +20,7 @@ from mocap_files import (
 from rig_styles import RIGS
 from rigs import write_rig
 from test_formats import BONES, still_frame, write_amc, write_asf, write_deepmimic
+from test_recognise import without_sides
 
 from questsim.cli import main
 from questsim.errors import InputError
@@ -36,6 +37,14 @@ def rig(name: str) -> Callable[[Path], object]:
 
 def rigs(*names: str) -> list[Callable[[Path], object]]:
     return [rig(name) for name in names]
+
+
+def nameless(style: str) -> Callable[[Path], object]:
+    def make(folder: Path) -> None:
+        write_rig(folder / "walk.bvh", RIGS[style])
+        without_sides(folder / "walk.bvh", "bone")
+
+    return make
 
 
 def subject(folder: Path) -> None:
@@ -94,6 +103,7 @@ FILES: dict[str, list[Callable[[Path], object]]] = {
     "SMPL or": rigs("SMPL-X"),
     "SOMA": rigs("SOMA"),
     "Second Life": rigs("Second Life", "DeepMotion", "Kinect", "MikuMikuDance"),
+    "a program that names no sides": [nameless("Mixamo"), nameless("Rigify")],
     "Bandai-Namco": [known_families, cmu],
     "CMU, HDM05": [subject],
     "DeepMimic": [

@@ -100,7 +100,7 @@ def without_sides(path: Path, style: str, *, mirror: str = "") -> None:
 @pytest.mark.parametrize(
     ("rig", "style", "mirror"),
     [("Mixamo", "bone", False), ("Mixamo", "blender", True), ("own axes, z up", "bone", False),
-     ("SMPL-X", "bone", False)],
+     ("SMPL-X", "bone", False), ("Rigify", "bone", False)],
 )  # fmt: skip
 def test_left_is_left_in_a_file_whose_names_do_not_say_it(rig, style, mirror, tmp_path):
     path, made = tmp_path / "a.bvh", RIGS[rig]
@@ -112,12 +112,15 @@ def test_left_is_left_in_a_file_whose_names_do_not_say_it(rig, style, mirror, tm
     assert "left is known from feet and knees and travel" in "".join(report.explanation)
 
 
-def test_split_bones_without_sides_are_refused(tmp_path):
-    write_rig(tmp_path / "a.bvh", RIGS["Rigify"])
-    without_sides(tmp_path / "a.bvh", "bone")
-    with pytest.raises(
-        InputError, match=r"do not say left and right.*split into several joints.*mapping"
-    ):
+def test_a_limb_of_many_bones_without_sides_that_never_bends_is_refused(tmp_path):
+    joints = [("hips", -1, (0, 90, 0)), ("chest", 0, (0, 40, 0)), ("skull", 1, (0, 25, 0))]
+    for side in (1, -1):
+        for above, way in ((0, (0, -15, 0)), (1, (side * 12, 0, 0))):
+            joints.append((f"j{len(joints)}", above, (side * 10, 0, 0)))
+            for _ in range(6):
+                joints.append((f"j{len(joints)}", len(joints) - 1, way))
+    write_bvh(tmp_path / "a.bvh", joints, standing(30, 0.0))
+    with pytest.raises(InputError, match=r"do not say left and right"):
         read_motion(tmp_path / "a.bvh")
 
 

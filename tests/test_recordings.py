@@ -109,6 +109,14 @@ def test_a_recording_of_iwer_is_read_by_its_grips(tmp_path):
     assert same(read_recording(path).frames, FRAMES, 1e-3, 3e-3)
 
 
+def test_a_damaged_pose_of_iwer_is_refused(tmp_path):
+    damaged = iwer(FRAMES)
+    damaged["frames"][0][-1][8][3] = [1.0]
+    (tmp_path / "iwer.json").write_text(json.dumps(damaged))
+    with pytest.raises(InputError, match=r"iwer.json.*pose of .*_controller is not made of"):
+        read_recording(tmp_path / "iwer.json")
+
+
 HEADER = {"format": "questsim-recording", "version": 1, "convention": "openxr"}
 GOOD = {"t": 0.0, "headset": [0, 1.6, 0, 0, 0, 0, 1]}
 

@@ -27,6 +27,9 @@ from questsim.files import read_yaml, whole_folder
 from questsim.joint_sensors import SENSOR_FPS
 from questsim.skeleton import JOINTS
 
+MAX_SIZE, MAX_DEPTH, MAX_LIST = 4096, 64, 16
+"""Largest numbers in a description of networks: of units, of layers, of items in a list."""
+KINDS = {int: "a whole number", bool: "true or false", str: "a name"}
 FORMAT, FORMAT_VERSION = "questsim-kinematic", 1
 WEIGHTS_FILE, CARD_FILE = "system.safetensors", SYSTEM_CARD
 
@@ -92,6 +95,10 @@ def read_system_card(folder: Path) -> dict[str, Any]:
             raise InputError(f"{field} is not {value!r}", path, "train it again")
     if card.get("agent") not in AGENTS:
         raise InputError(f"there is no agent {card.get('agent')!r}", path)
+    training = card.get("training")
+    trained = training.get("trained", []) if isinstance(training, dict) else None
+    if not isinstance(trained, list) or not all(isinstance(name, str) for name in trained):
+        raise InputError("training is not a table whose 'trained' lists names", path)
     return card
 
 
@@ -104,7 +111,7 @@ def load_module(folder: Path) -> tuple[nn.Module, dict[str, Any]]:
     card = read_system_card(folder)
     entry = AGENTS[card["agent"]]
     spec = _spec(entry, card, folder)
-    module = entry.build(spec)
+    module = _built(entry, spec, folder / CARD_FILE)
     try:
         module.load_state_dict(load_file(folder / WEIGHTS_FILE))
     except FileNotFoundError:
@@ -126,7 +133,38 @@ def _spec(entry: Entry, card: dict[str, Any], folder: Path) -> Any:
         raise InputError(
             "the description of the networks is incomplete", folder / CARD_FILE, "train it again"
         )
+    usual = asdict(entry.presets["paper"].spec)
+    for name, value in found.items():
+        _check_value(name, value, usual[name], folder / CARD_FILE)
     return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in found.items()})
+
+
+def _check_value(name: str, value: Any, usual: Any, path: Path) -> None:
+    """Refuse a value of another type than the published one, or beyond any network's size."""
+    if isinstance(usual, tuple | list):
+        if not isinstance(value, list) or len(value) > MAX_LIST:
+            raise InputError(f"spec.{name} is not a list of at most {MAX_LIST}", path)
+        for item in value:
+            _check_value(name, item, usual[0], path)
+        return
+    kind = "a number" if isinstance(usual, float) else KINDS[type(usual)]
+    if isinstance(usual, float) and type(value) is int:
+        value = float(value)
+    if type(value) is not type(usual) or value != value:
+        raise InputError(f"spec.{name} is not {kind}", path)
+    most = MAX_DEPTH if "layers" in name or name == "blocks" else MAX_SIZE
+    if not isinstance(value, str) and not 0 <= value <= most:
+        raise InputError(f"spec.{name} is not within 0-{most}", path)
+
+
+def _built(entry: Entry, spec: Any, path: Path) -> nn.Module:
+    try:
+        return entry.build(spec)
+    except InputError:
+        raise
+    except Exception as error:  # a layer's constructor objects to the sizes, in its own way
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0][:150]
+        raise InputError(f"these networks cannot be built ({reason})", path) from error
 
 
 def find_system(path_or_name: str | Path) -> Path:

@@ -62,6 +62,8 @@ SMPL_KEYS = ("J_regressor", "v_template", "shapedirs")
 """The arrays that are read from a SMPL model."""
 MAX_ARRAY_BYTES = 256 << 20
 """Larger arrays are rejected; AMASS's longest files need a third of 256 MiB."""
+MAX_REACH_M = 10.0
+"""A SMPL model with joints further from its origin is damaged, or the betas are."""
 PLAUSIBLE_STATURE_M = (1.40, 2.10)
 
 
@@ -209,7 +211,11 @@ def _smpl_offsets(smpl_file: str | Path, arrays: dict[str, np.ndarray]) -> np.nd
         if not (abs(np.asarray(array, float)) <= MAX_LENGTH).all():
             raise InputError(f"{key} is not finite", path, AGAIN)
     betas = arrays.get("betas", np.zeros(0)).reshape(-1)[: directions.shape[-1]]
-    shaped = vertices + directions[..., : len(betas)] @ betas
-    joints = (regressor @ shaped)[:NUM_BODY_JOINTS]
+    with np.errstate(all="ignore"):
+        shaped = vertices + directions[..., : len(betas)] @ betas
+        joints = (regressor @ shaped)[:NUM_BODY_JOINTS]
     parents = np.array(SMPL_PARENTS)
+    if not (abs(joints) <= MAX_REACH_M).all():
+        what = f"joints are further than {MAX_REACH_M:g} m from the origin"
+        raise InputError(what, path, "give a SMPL model, and a file with its betas")
     return np.where(parents[:, None] < 0, 0.0, joints - joints[parents])

@@ -94,7 +94,9 @@ def to_motion(recording: Recording, family: Family, metres: float, up: str, **me
     own = {j: orientations[:, column] for j, column in index.items()}
     rest = _rest_rotations(family, bones(places, own), where)
     axes = np.stack(list(rest.values()))
-    for joint, size in zip(rest, np.linalg.det(axes), strict=True):
+    with np.errstate(invalid="ignore"):
+        sizes = np.linalg.det(axes)
+    for joint, size in zip(rest, sizes, strict=True):
         if not size > 0.5:  # NaN is not
             what = f"the axes of {JOINTS[joint]} cannot be found: bones around it have no length"
             raise InputError(what, where, "export the whole skeleton")

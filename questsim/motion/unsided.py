@@ -4,14 +4,15 @@ Limbs are pairs of sibling chains with equal bone lengths: the legs, and above t
 two longest consecutive bones of a chain are thigh and shin, or upper arm and forearm. Which chain
 is left follows from up and the front, and the front from three signs: where the feet point, where
 the knees bend to, and where the performer travels. Two signs must agree; feet and knees must not
-contradict each other (travel may: people walk backwards).
+contradict each other (travel may: people walk backwards). Where bones are split into several
+joints, those at which a limb never bends are left out first.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -34,6 +35,8 @@ MIN_FOOT, MAX_FOOT = 0.1, 0.9
 """Length of a foot as a share of its shin."""
 MIN_LIMB = 0.45
 """The two longest bones are at least this share of a limb up to its toes or finger tips."""
+MAX_STRAIGHT = np.radians(3.0)
+"""A joint of a split limb at which it never bends by more is within a bone."""
 SIGNS = ("feet", "knees", "travel")
 
 
@@ -76,12 +79,15 @@ def find_limbs(recording: Recording, fix: str) -> Limbs:
     pairs = _legs_and_arms([int(parent) for parent in recording.parents], length)
     if pairs is None:
         raise refuse("there are no two pairs of equally long limbs")
-    legs, arms = ([_limb(chain, length) for chain in pair.chains] for pair in pairs)
-    chains = [chain for pair in pairs for chain in pair.chains]
-    if any(map(_is_split, chains, [*legs, *arms], [length] * 4)):
-        raise refuse("bones of limbs are split into several joints")
     few = some_frames(recording)
     position, _ = global_pose(few)
+    chains = [chain for pair in pairs for chain in pair.chains]
+    if any(_is_split(chain, length) for chain in chains):
+        chains, length = _unsplit(chains, position, length)
+        if any(_is_split(chain, length) for chain in chains):
+            raise refuse("bones of limbs are split into several joints")
+    limbs = [_limb(chain, length) for chain in chains]
+    legs, arms = limbs[:2], limbs[2:]
     fps = recording.fps * len(few.positions) / len(recording.positions)
     front = _front(position, legs, pairs[1].above, fps, length)
     vote = _vote(front)
@@ -151,9 +157,45 @@ def _limb(chain: list[int], length: np.ndarray) -> list[int]:
     return [chain[first - 1] if first else -1, *chain[first:]]
 
 
-def _is_split(chain: list[int], limb: list[int], length: np.ndarray) -> bool:
-    """Whether the two longest bones are too short for the whole limb: halves of thigh or arm."""
+def _is_split(chain: list[int], length: np.ndarray) -> bool:
+    """Whether there are no two bones that are long enough for the whole limb."""
+    if len(chain) < 3:
+        return True
+    limb = _limb(chain, length)
     return bool(length[limb[2:4]].sum() < MIN_LIMB * length[chain[1:]].sum())
+
+
+def _unsplit(
+    chains: list[list[int]], position: np.ndarray, length: np.ndarray
+) -> tuple[list[list[int]], np.ndarray]:
+    """The chains without the joints within bones, and the lengths of the whole bones.
+
+    Args:
+        chains: joints from the trunk outwards; left and right in turn.
+        position: of all joints ``(T, J, 3)``.
+        length: of each joint's bone ``(J,)``.
+    """
+
+    def bend(before: int, joint: int, after: int) -> float:
+        upper = unit(position[:, joint] - position[:, before])
+        lower = unit(position[:, after] - position[:, joint])
+        cosine = np.clip(np.sum(upper * lower, axis=-1), -1.0, 1.0)
+        return float(np.percentile(np.arccos(cosine), 95))
+
+    length, out = length.copy(), []
+    for first, second in (chains[:2], chains[2:]):
+        bends = [
+            max(bend(*chain[i - 1 : i + 2]) for chain in (first, second))
+            for i in range(1, len(first) - 1)
+        ]
+        whole = [0, *(i + 1 for i, angle in enumerate(bends) if angle > MAX_STRAIGHT)]
+        whole.append(len(first) - 1)
+        for chain in (first, second):
+            bones = length[chain]
+            for start, end in pairwise(whole):
+                length[chain[end]] = bones[start + 1 : end + 1].sum()
+            out.append([chain[i] for i in whole])
+    return out, length
 
 
 def _roles(limb: list[int], is_leg: bool, length: np.ndarray) -> dict[str, int]:
