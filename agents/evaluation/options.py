@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from typing_extensions import Doc
 
 from agents.resolve import DEFAULT_POLICY, AgentName, TorqueAgentName
+from envs.objects import OBJECTS
+from envs.terrain import TERRAINS
+from questsim.modes import one_of
 
 Begin = Literal["reference", "still", "standing", "estimate"]
 
@@ -43,10 +48,13 @@ class EvaluateArgs(_FollowArgs):
     """Stature in metres of an avatar that differs from its user; device signals are scaled."""
     unscaled: float = 0.0
     """Stature in metres of the avatar minus its user's; device signals are not scaled then."""
-    terrain: str | None = None
-    """Terrain, e.g. rough or rough:amplitude_m=0.08, instead of the environment's own."""
-    objects: tuple[str, ...] = ()
-    """Objects on the clips' paths: ball, box, hurdle, chair."""
+    terrain: Annotated[
+        str | None,
+        Doc(f"Ground instead of the environment's own: {one_of(TERRAINS)}, or rough:seed=3."),
+    ] = None
+    objects: Annotated[
+        tuple[str, ...], Doc(f"Objects on the clips' paths: {', '.join(OBJECTS)}.")
+    ] = ()
     begin: Begin = "reference"
     """Initial state of the avatar: the user's pose and velocity; the user's pose, at rest; standing
     upright at the user's position, at rest; or the first estimate of HMD-Poser."""

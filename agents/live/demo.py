@@ -12,13 +12,14 @@ from typing import Annotated
 
 import torch
 import tyro
+from typing_extensions import Doc
 
 from agents.evaluation.follow import choose_clips
 from agents.live.drivers import Driver
 from agents.live.load_driver import load_driver
 from agents.live.recording import record
 from agents.live.runner import Runner
-from agents.live.session import DemoSession
+from agents.live.session import GROUNDS, DemoSession
 from agents.live.surroundings import NOTHING, needed_thing
 from agents.live.users import Recordings
 from agents.live.watcher import Checkpoint, Watcher, first_checkpoint, load_checkpoint
@@ -30,9 +31,11 @@ from agents.resolve import (
     shipped_systems,
     with_physics,
 )
+from envs.objects import OBJECTS
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError, at_least
 from questsim.evaluation_report import check_writable
+from questsim.modes import one_of
 from questsim.motion.clip import Clip
 from questsim.motion.motion import Motion
 from questsim.viewing.live import Settings
@@ -40,6 +43,7 @@ from questsim.viewing.page import Page
 from questsim.viewing.page_server import DEFAULT_PORT, LOOPBACK
 
 FIRST_CLIP = "synthetic-walk-1.3"
+_GROUND = f"The ground: {one_of(GROUNDS)}."
 MOST_CLIPS = 80
 """Largest number of clips in the page's list."""
 
@@ -50,13 +54,16 @@ class WatchArgs:
 
     clip: str | None = None
     """The first clip; by default a walk, or the first of the motions."""
-    terrain: str = "flat"
-    """The ground: flat, rough, waves, slope, stairs, steps or gaps."""
+    terrain: Annotated[str, Doc(_GROUND)] = "flat"
     roughness: float = 1.0
     """Multiplies the terrain's relief: 1 is ±4 cm on rough ground, slopes of 8 degrees."""
-    object: str | None = None
-    """An object on the path: none, ball, box, hurdle or chair; by default a chair for seated clips
-    and none for others."""
+    object: Annotated[
+        str | None,
+        Doc(
+            f"An object on the path: {one_of((NOTHING, *OBJECTS))}; by default a chair for seated "
+            "clips and none for others."
+        ),
+    ] = None
     height: float = DEFAULT_HEIGHT_M
     """Stature of the user in metres."""
     avatar_height: float | None = None
@@ -74,8 +81,7 @@ class DemoArgs(WatchArgs):
     agent: AgentName = DEFAULT_POLICY
     motions: str = "synthetic"
     """What to follow: synthetic, a dataset (bandai-namco-2:test), a library, file or folder."""
-    terrain: str = "rough"
-    """The ground: flat, rough, waves, slope, stairs, steps or gaps."""
+    terrain: Annotated[str, Doc(_GROUND)] = "rough"
     roughness: float = 0.5
     """Multiplies the terrain's relief: 1 is ±4 cm on rough ground, slopes of 8 degrees."""
     video: Path | None = None

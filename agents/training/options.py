@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from typing_extensions import Doc
 
 from agents.training.loggers import LogName
+from envs.objects import OBJECTS
 from envs.randomisation import Randomisation
 from envs.starts import Starts
+from envs.terrain import TERRAINS
+from questsim.modes import one_of
 
 Pick = Literal["cpu", "paper", "smoke"]
 """Names of presets."""
@@ -67,14 +72,20 @@ class TrainArgs:
     kinds of motion are varied more often."""
     redraw: int | None = None
     """With --vary: environment steps between draws of variations; by default 5 million."""
-    env: str | None = None
-    """Training terrain: rough, slope, stairs, course, mixed (flat, rough and sloping), ..., or
-    rough:amplitude_m=0.06; by default flat. With --start, a policy is trained further on it."""
+    env: Annotated[
+        str | None,
+        Doc(
+            f"Training terrain: {one_of(TERRAINS)}, or rough:amplitude_m=0.06; by default flat. "
+            "With --start, a policy is trained further on it."
+        ),
+    ] = None
     pushes: tuple[float, float] | None = None
     """Push the avatars at the chest for 0.2 s every 1 to 4 s, in random directions, with a force
     between these two values in newtons."""
-    objects: tuple[str, ...] = ()
-    """Objects on the clips' paths, to stumble over or kick: ball, box, hurdle, chair."""
+    objects: Annotated[
+        tuple[str, ...],
+        Doc(f"Objects on the clips' paths, to stumble over or kick: {', '.join(OBJECTS)}."),
+    ] = ()
     randomisation: Randomisation = field(default_factory=Randomisation)
     """Domain randomisation across the simulations."""
     starts: Starts = field(default_factory=Starts)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 import numpy as np
 
@@ -36,15 +36,25 @@ def start_estimates(args: TrainArgs, clips: Sequence[Clip]) -> dict[str, Clip] |
     known = {clip.name: clip for clip in clips}
     found = {}
     for estimate in load_motions(args.start_estimates, seed=args.seed):
-        user, at, _ = estimate.name.rpartition("@")
-        if not at or user not in known:
-            raise InputError(
-                f"{estimate.name!r} is an estimate of none of --motions",
-                args.start_estimates,
-                "name a library that questsim estimate made of them",
-            )
+        user = estimated(estimate, known, args.start_estimates)
         found[user] = _checked(estimate, known[user], args.start_estimates)
     return found
+
+
+def estimated(estimate: Clip, known: Container[str], where: str) -> str:
+    """The name of the clip that ``questsim estimate`` made an estimate of.
+
+    Raises:
+        InputError: it is none of ``known``, the clips of ``--motions``.
+    """
+    user, at, _ = estimate.name.rpartition("@")
+    if not at or user not in known:
+        raise InputError(
+            f"{estimate.name!r} is an estimate of none of --motions",
+            where,
+            "name a library that questsim estimate made of them",
+        )
+    return user
 
 
 def _checked(estimate: Clip, clip: Clip, where: str) -> Clip:

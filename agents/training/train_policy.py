@@ -40,7 +40,7 @@ from agents.training.presets import PRESETS, PPOConfig, Preset, StageConfig, sho
 from agents.training.rollout_worker import BatchSpec
 from agents.training.specialists import read_specialist
 from agents.training.stage import Budget, Stage, Stopper
-from agents.training.start_estimates import start_estimates
+from agents.training.start_estimates import estimated, start_estimates
 from envs.config import EnvConfig
 from envs.objects import objects_named
 from envs.pushes import Pushes
@@ -214,13 +214,7 @@ def _estimates(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
     known = {clip.name: clip for clip in clips}
     pairs: Pairs = {}
     for estimate in load_motions(args.estimates, seed=args.seed):
-        user, at, _ = estimate.name.rpartition("@")
-        if not at or user not in known:
-            raise InputError(
-                f"{estimate.name!r} belongs to no clip of --motions",
-                args.estimates,
-                "name a library that questsim estimate made of them",
-            )
+        user = estimated(estimate, known, args.estimates)
         if known[user].height_m != estimate.height_m:
             # Estimates are made from recordings, whose stature is measured on their bones.
             known[user] = to_clip(to_motion(known[user]))
