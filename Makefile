@@ -59,7 +59,7 @@ demo-scores: $(INSTALLED)  ## evaluate the shipped policy on embedded motions; w
 	$(PY) evaluate.py --agent questsim --motions $(DEMO_MOTIONS) --out demo --video
 
 docs: $(INSTALLED)  ## build the documentation's site into site/
-	$(PY) -m mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict --quiet
 	@echo "open site/index.html"
 
 page-picture: $(INSTALLED)  ## photograph the page for the README; DEMO_FLAGS="--agent NAME"

@@ -10,6 +10,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.wrappers import HumanRendering
 from gymnasium.wrappers import vector as wrappers
 from helpers import swaying_clip
 from stable_baselines3 import PPO, SAC
@@ -142,6 +143,11 @@ def test_a_window_shows_the_avatar(monkeypatch: pytest.MonkeyPatch) -> None:
     later = pygame.surfarray.array3d(pygame.display.get_surface())
     assert shown.shape == (640, 480, 3) and shown.std() > 5 and (shown != later).any()
     env.close()
+    window = HumanRendering(gym.make(ID, motions=CLIPS, render_mode="rgb_array"))
+    window.reset(seed=0)
+    shown = pygame.surfarray.array3d(pygame.display.get_surface())
+    assert shown.shape == (640, 480, 3) and shown.std() > 5
+    window.close()
 
 
 def test_a_window_without_pygame_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

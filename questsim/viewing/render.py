@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from weakref import ref
 
 import mujoco
 import numpy as np
@@ -122,6 +125,12 @@ def device_markers(position: np.ndarray, quat: np.ndarray, height_m: float) -> l
     ]
 
 
+def _close(renderer: ref[mujoco.Renderer]) -> None:
+    left = renderer()
+    if left is not None:
+        left.close()
+
+
 class SceneRenderer:
     """Renders figures in given poses; a context manager that frees the OpenGL context.
 
@@ -154,6 +163,9 @@ class SceneRenderer:
             self._model, height, width, max_geom=max(500, 70 * len(figures))
         )
         self._camera = mujoco.MjvCamera()
+        # At exit MuJoCo ends OpenGL before it frees renderers that nobody closed: that fails.
+        self._at_exit = partial(_close, ref(self._renderer))
+        atexit.register(self._at_exit)
 
     def __enter__(self) -> SceneRenderer:
         return self
@@ -163,6 +175,7 @@ class SceneRenderer:
 
     def close(self) -> None:
         """Free the OpenGL context."""
+        atexit.unregister(self._at_exit)
         self._renderer.close()
 
     def render(
