@@ -47,7 +47,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "record": Command(
         "agents.headset.command", "record", "RecordArgs",
-        "the same, and write what the devices report to a file",
+        "like live, and write what the devices report to a file",
     ),
     "replay": Command(
         "agents.follower.replay", "replay", "ReplayArgs",
@@ -59,7 +59,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "motions import": Command(
         "questsim.motion.motions_command", "import_motions", "ImportArgs",
-        "read BVH and npz files into a library of clips",
+        "read BVH, ASF/AMC, AMASS and DeepMimic files into a library of clips",
     ),
     "motions mapping": Command(
         "questsim.motion.motions_command", "start_mapping", "MappingArgs",

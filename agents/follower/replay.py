@@ -36,7 +36,8 @@ class FollowArgs:
     """Options of the recording, the agent and the user."""
 
     file: Annotated[Path, tyro.conf.Positional]
-    """The recording: ours (.jsonl.gz), iwer's (.json), or a .csv with --convention."""
+    """The recording: this project's .jsonl.gz, iwer's .json, a .csv with --convention, or
+    synthetic, the shipped one."""
     agent: AgentName = DEFAULT_POLICY
     sensors: str | None = None
     """Sensor set, e.g. H+2C or H; by default the agent's own."""

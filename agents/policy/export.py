@@ -45,7 +45,7 @@ class ExportArgs:
     out: Path
     """File to write."""
     format: Literal["onnx"] = "onnx"
-    """Of the file."""
+    """Format of the file."""
 
 
 class TorqueController(nn.Module):

@@ -62,7 +62,7 @@ class StageConfig:
         evaluate_every: environment steps between evaluations on the fixed set.
         reward: reward of the environment.
         sampling: of clips and first frames: ``uniform``, ``failure`` (those that end in falls more
-            often) or ``kind`` (as ``failure``, with all kinds of motion equally often).
+            often) or ``kind`` (as ``failure``, and rare kinds of motion more often).
         max_error_m: mean link error at which training episodes end early, to save simulation.
             Evaluations always allow 0.5 m.
     """

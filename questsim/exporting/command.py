@@ -33,7 +33,7 @@ class ExportMotionsArgs:
     """Skeleton of BVH files: joints (the 22 joints as recorded) or avatar (the 16 links of the
     retargeted clip). GLB and CSV always contain the avatar, npz the joints."""
     seed: int = 0
-    """Of the embedded motions."""
+    """Seed of the embedded motions."""
 
 
 def export_motions(args: ExportMotionsArgs) -> None:
