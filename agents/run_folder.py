@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import platform
+import shutil
+import tarfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -240,3 +243,21 @@ def default_of(option: Field[Any]) -> Any:
     if option.default_factory is not MISSING:
         return option.default_factory()
     return None if option.default is MISSING else option.default
+
+
+def packed(folder: Path) -> bytes:
+    """All files of a folder as a tar, to be sent to another machine."""
+    data = io.BytesIO()
+    with tarfile.open(fileobj=data, mode="w:gz") as tar:
+        tar.add(folder, ".")
+    return data.getvalue()
+
+
+def unpack(files: bytes, folder: Path) -> None:
+    """Write a folder from ``packed``, in place of what an interrupted run left there."""
+    fresh = folder.with_name(f".{folder.name}.new")
+    shutil.rmtree(fresh, ignore_errors=True)
+    with tarfile.open(fileobj=io.BytesIO(files)) as tar:
+        tar.extractall(fresh, filter="data")
+    shutil.rmtree(folder, ignore_errors=True)
+    fresh.rename(folder)

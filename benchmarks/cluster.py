@@ -20,10 +20,11 @@ from typing import Any
 
 import torch
 
-from agents.training.cluster import ActorPool, ray_cluster
+from agents.training.cluster import ActorPool
 from agents.training.make_learner import make_ppo
 from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PRESETS
+from agents.training.ray_session import ray_cluster
 from agents.training.rollout_worker import BatchSpec
 from benchmarks.common import arguments, clips, report, seconds
 from envs.config import EnvConfig

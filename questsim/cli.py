@@ -70,7 +70,7 @@ COMMANDS: dict[str, Command] = {
         "download a public dataset and verify every clip of it",
     ),
     "motions vary": Command(
-        "questsim.motion.vary_command", "vary_motions", "VaryArgs",
+        "agents.commands.vary", "vary_motions", "VaryArgs",
         "write a library of variations of motions: other speeds, postures, stances, paths",
     ),
     "motions export": Command(

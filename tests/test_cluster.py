@@ -16,9 +16,9 @@ import torch
 from learners import QUICK, SMALL, nothing
 
 from agents.run_folder import versions
-from agents.training.cluster import ray_cluster
 from agents.training.make_learner import make_ppo
 from agents.training.presets import StageConfig
+from agents.training.ray_session import check_versions, ray_cluster
 from agents.training.rollout_worker import BatchSpec, RolloutWorker, weights_of
 from envs.config import EnvConfig
 from questsim.cli import main
@@ -196,10 +196,8 @@ def test_ray_that_is_not_installed_is_named(monkeypatch):
 
 
 def test_a_worker_with_other_versions_is_refused():
-    from agents.training.cluster import ActorPool
-
-    with pytest.raises(InputError, match=r"worker 1: has mujoco 1\.0, the learner has"):
-        ActorPool._check_versions([versions(), versions() | {"mujoco": "1.0"}])
+    with pytest.raises(InputError, match=r"worker 1: has mujoco 1\.0, the command has"):
+        check_versions(versions() | {"mujoco": "1.0"}, versions(), "worker 1")
 
 
 def test_a_cluster_without_workers_is_refused(tmp_path, capsys):

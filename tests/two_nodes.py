@@ -21,7 +21,8 @@ def main(folder: Path) -> None:
     from ray.cluster_utils import Cluster
     from test_cluster import CONFIG, trained
 
-    from agents.training.cluster import ActorPool, ray_cluster
+    from agents.training.cluster import ActorPool
+    from agents.training.ray_session import ray_cluster
     from agents.training.rollout_worker import BatchSpec
     from envs.config import EnvConfig
     from questsim.motion.spec import load_motions

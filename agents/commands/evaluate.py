@@ -20,6 +20,7 @@ from agents.evaluation.seeds import check_random, format_spread, seeded, spread
 from agents.evaluation.worlds import format_worlds, run_worlds, write_worlds
 from agents.loading import load_agent
 from agents.resolve import ESTIMATE_TRACKER, Resolved, resolve
+from agents.training.ray_session import ray_map
 from envs.config import EnvConfig
 from envs.objects import objects_named
 from envs.randomisation import REAL_DEVICES
@@ -94,10 +95,14 @@ def evaluate(args: EvaluateArgs) -> int:
     filmed(args, clips)
     assist = AssistUse(args.assist) if args.assist else None
     begin_at = _estimates(clips) if args.begin == "estimate" else None
-    runs = [
-        roll_out(seeded(agent, seed), clips, config, args.threads, None, assist, begin_at, seed)
-        for seed in range(args.seeds)
-    ]
+    with ray_map(args.workers, args.ray, args.threads) as mapper:
+        runs = [
+            roll_out(
+                seeded(agent, seed), clips, config, args.threads, None, assist, begin_at, seed,
+                mapper,
+            )
+            for seed in range(args.seeds)
+        ]  # fmt: skip
     context = evaluation_context(args.agent, agent, args.motions, clips, config, args.threads)
     context |= _assisted(assist)
     if args.seeds > 1:
@@ -167,10 +172,12 @@ def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
     filmed(args, motions)
     jobs = [(found.base, scenario, motion, 0, None) for motion in motions]
     if found.kind == "physics":
-        with workers(args.threads) as mapper:
-            references = list(mapper(reference, jobs))
         assist = AssistUse(args.assist) if args.assist else None
-        rollouts = follow_poses(references, motions, args.threads, assist)
+        with workers(args.threads, args.workers, args.ray) as mapper:
+            references = list(mapper(reference, jobs))
+            rollouts = follow_poses(
+                references, motions, args.threads, assist, mapper if args.workers else map
+            )
         tracker = load_agent(ESTIMATE_TRACKER)
         clips = [rollout.reference for rollout in rollouts]
         config = env_config(tracker)
@@ -181,7 +188,7 @@ def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
             f"{args.agent} has no physics and cannot be assisted", "--assist", "leave it out"
         )
     began = time.perf_counter()
-    with workers(args.threads) as mapper:
+    with workers(args.threads, args.workers, args.ray) as mapper:
         poses = list(mapper(reconstructed, jobs))
     share = (time.perf_counter() - began) / sum(map(len, motions))
     rollouts = [
@@ -219,7 +226,8 @@ def evaluate_worlds(args: WorldsArgs) -> int:
     agent = load_agent(args.agent)
     config = env_config(agent)
     clips = load_motions(args.motions, seed=args.seed)
-    table = run_worlds(agent, clips, config, args.threads, args.max_clips, args.seed)
+    with ray_map(args.workers, args.ray, args.threads) as mapper:
+        table = run_worlds(agent, clips, config, args.threads, args.max_clips, args.seed, mapper)
     print(format_worlds(table))
     context = evaluation_context(args.agent, agent, args.motions, clips, config, args.threads)
     print(f"written to {write_worlds(table, args.out, context)}")
@@ -237,10 +245,11 @@ def evaluate_scorecard(args: ScorecardArgs) -> int:
     if args.out is not None:
         check_writable(args.out)
     torch.set_num_threads(args.threads)
-    card = scorecard(
-        args.agent, args.motions, args.out, args.max_clips, args.threads, args.seed, args.rows,
-        args.extra, _estimates,
-    )  # fmt: skip
+    with ray_map(args.workers, args.ray, args.threads) as mapper:
+        card = scorecard(
+            args.agent, args.motions, args.out, args.max_clips, args.threads, args.seed, args.rows,
+            args.extra, _estimates, mapper=mapper,
+        )  # fmt: skip
     print(format_scorecard(card))
     return 0
 

@@ -10,8 +10,10 @@ weights.
 from __future__ import annotations
 
 import json
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -30,7 +32,17 @@ from agents.kinematic.scenario import Variant
 from agents.kinematic.store import CARD_FILE, load_system, read_system_card
 from agents.kinematic.training import train_system
 from agents.overrides import with_overrides
-from agents.run_folder import RECORD, check_same_run, read_run, refuse_existing, start_run, versions
+from agents.run_folder import (
+    RECORD,
+    check_same_run,
+    packed,
+    read_run,
+    refuse_existing,
+    start_run,
+    unpack,
+    versions,
+)
+from agents.training.ray_session import ray_map
 from questsim.errors import InputError, at_least
 from questsim.files import whole_file
 from questsim.motion.motion import Motion
@@ -38,7 +50,7 @@ from questsim.motion.motion import Motion
 FULL = "full"
 SCORES = "scores.json"
 """File with a variant's rows in its folder. A variant with this file is done."""
-MAY_DIFFER_ON_RESUME = {"resume", "out", "threads", "variants"}
+MAY_DIFFER_ON_RESUME = {"resume", "out", "threads", "variants", "workers", "ray"}
 
 
 @dataclass(frozen=True)
@@ -67,6 +79,10 @@ class AblationsArgs:
     """Resume in --out; finished variants are skipped."""
     threads: int = 2
     """Threads for the networks."""
+    workers: int = 0
+    """Ray workers, each of which trains and scores one variant at a time; 0 for none."""
+    ray: str | None = None
+    """Address of a Ray cluster for --workers, by default one of this machine alone."""
     seed: int = 0
     """Seed of all random numbers, the same for all variants."""
     set: tuple[str, ...] = ()
@@ -90,6 +106,11 @@ def ablations(args: AblationsArgs) -> int:
     else:
         start_run(out, args, AGENTS[args.agent].presets[args.preset], data)
     results = []
+    try:
+        _on_workers(args, variants, out, motions)
+    except InputError:
+        _leave_nothing(out, there)
+        raise
     for variant in variants:
         folder = out / variant.name
         if not (folder / SCORES).exists():
@@ -177,6 +198,35 @@ def _train(args: AblationsArgs, variant: Variant, folder: Path) -> int:
             set=(*args.set, *variant.set),
         )
     )
+
+
+def _on_workers(
+    args: AblationsArgs, variants: Sequence[Variant], out: Path, motions: Sequence[Motion]
+) -> None:
+    """Train and score on ``--workers`` the variants that have no scores yet."""
+    left = [
+        variant
+        for variant in variants
+        if not variant.options and not (out / variant.name / SCORES).exists()
+    ]
+    with ray_map(args.workers, args.ray, args.threads) as mapper:
+        if mapper is map:
+            return
+        whole = partial(_trained_and_scored, args, motions)
+        for variant, files in zip(left, mapper(whole, left), strict=True):
+            unpack(files, out / variant.name)
+            print(f"{variant.name}: {variant.what}: trained and scored", flush=True)
+
+
+def _trained_and_scored(args: AblationsArgs, motions: Sequence[Motion], variant: Variant) -> bytes:
+    """The packed folder of a variant, made in a temporary folder of this node."""
+    with tempfile.TemporaryDirectory() as place:
+        out = Path(place)
+        if _train(args, variant, out / variant.name):
+            raise KeyboardInterrupt
+        torch.set_num_threads(args.threads)
+        _score(args, variant, out, motions)
+        return packed(out / variant.name)
 
 
 def _leave_nothing(out: Path, there: bool) -> None:

@@ -126,10 +126,12 @@ def _scored(
     names = [motion.name for motion in motions]
     left = sum(len(record.missing([plan.key(row) for row in plan.rows], names)) for plan in plans)
     whole, done, rate, began = max(left, 1), 0, 0.0, time.monotonic()
-    with Display() as display, workers(args.threads) as mapper:
+    with Display() as display, workers(args.threads, args.workers, args.ray) as mapper:
         for number, plan in enumerate(plans, start=1):
             told = f"{plan.agent}: {plan.rows[0]}"
-            for count in compute(plan, motions, args.seed, args.threads, mapper, record):
+            for count in compute(
+                plan, motions, args.seed, args.threads, mapper, record, args.workers > 0
+            ):
                 done += count
                 rate = (time.monotonic() - began) / done
                 display.show("compare", min(done / whole, 1.0), told, rate * max(whole - done, 0))

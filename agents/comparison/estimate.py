@@ -40,6 +40,10 @@ class EstimateArgs:
     """Use only this many motions, of all kinds."""
     threads: int = 2
     """Number of parallel processes."""
+    workers: int = 0
+    """Ray workers that share the clips (docs/scaling.md); 0 for none."""
+    ray: str | None = None
+    """Address of a Ray cluster for --workers, by default one of this machine alone."""
     seed: int = 0
     """Seed of the embedded motions."""
 
@@ -59,7 +63,7 @@ def estimate(args: EstimateArgs) -> None:
     check_library_path(args.out)
     motions = at_sensor_rate(load_recordings(args.motions, seed=args.seed), args.max_clips)
     jobs = [(args.agent, suited[0], motion, 0, None) for motion in motions]
-    with workers(args.threads) as mapper:
+    with workers(args.threads, args.workers, args.ray) as mapper:
         done = list(mapper(_estimated, jobs))
     save_library(args.out, [motion for motion, _ in done], [clip for _, clip in done])
     print(f"{len(done)} motions, {sum(m.duration for m, _ in done):.0f} s, in {args.out}")

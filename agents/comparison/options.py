@@ -42,5 +42,9 @@ class CompareArgs:
     """Reconstruct only this many motions, of all kinds."""
     threads: int = 2
     """Number of parallel processes, and of threads of physics; the figures are the same."""
+    workers: int = 0
+    """Ray workers that share the clips (docs/scaling.md); 0 for none."""
+    ray: str | None = None
+    """Address of a Ray cluster for --workers, by default one of this machine alone."""
     seed: int = 0
     """Seed of device faults and of the embedded motions."""

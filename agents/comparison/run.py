@@ -5,12 +5,12 @@ from __future__ import annotations
 import multiprocessing
 import signal
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,6 +22,7 @@ from agents.comparison.report import RECORDING, Costs, Row, row_of
 from agents.comparison.scenarios import PAPER_NAMES, WINDOW, Scenario, faulty, scenarios
 from agents.comparison.summary import Summary, summarise
 from agents.evaluation.follow import evaluation_sim
+from agents.evaluation.mapping import Mapper
 from agents.evaluation.rollout import env_config, roll_out
 from agents.kinematic.causal import causal_clip
 from agents.kinematic.efficiency import mmac_a_frame, stream_kib
@@ -38,6 +39,7 @@ from agents.kinematic.store import load_system
 from agents.loading import load_agent
 from agents.policy.policy_agent import PolicyAgent
 from agents.resolve import base_of, resolve
+from agents.training.ray_session import ray_map
 from questsim.errors import InputError
 from questsim.extensions import load_extensions
 from questsim.joint_sensors import SENSOR_FPS, SensorSequence, readings
@@ -54,19 +56,6 @@ TIMED_FRAMES = 600
 CHUNK = 48
 """Clips that are simulated together."""
 
-JobT = TypeVar("JobT")
-ResultT = TypeVar("ResultT")
-
-
-class Mapper(Protocol):
-    """Like ``map``: the results of a function on every job, in order."""
-
-    def __call__(
-        self, function: Callable[[JobT], ResultT], jobs: Iterable[JobT], /
-    ) -> Iterable[ResultT]:
-        """The results."""
-        ...
-
 
 def _begin_process() -> None:
     # Ctrl-C is the parent's to answer.
@@ -76,12 +65,24 @@ def _begin_process() -> None:
 
 
 @contextmanager
-def workers(count: int) -> Iterator[Mapper]:
+def workers(count: int, on_ray: int = 0, ray: str | None = None) -> Iterator[Mapper]:
     """A ``map`` on several processes with one thread each; results have the same bits.
 
     Threads would not help: Python code takes most of a frame's time.
+
+    Args:
+        count: processes of this machine.
+        on_ray: Ray workers that are used instead, if any.
+        ray: address of their cluster.
+
+    Raises:
+        InputError: see ``ray_map``.
     """
     torch.set_num_threads(1)
+    if on_ray or ray is not None:
+        with ray_map(on_ray, ray) as mapper:
+            yield mapper
+        return
     if count == 1:
         yield map
         return
@@ -167,8 +168,14 @@ def compute(
     threads: int,
     mapper: Mapper,
     record: Record,
+    whole: bool = False,
 ) -> Iterator[int]:
-    """Score the clips that the record lacks; yields how many are done after each step."""
+    """Score the clips that the record lacks; yields how many are done after each step.
+
+    Args:
+        plan, motions, seed, threads, mapper, record: see ``Plan`` and ``workers``.
+        whole: with physics, ``mapper`` runs whole chunks: physics runs where the mapper does.
+    """
     names = [motion.name for motion in motions]
     missing = record.missing([plan.key(row) for row in plan.rows], names)
     if not plan.starts:
@@ -179,15 +186,28 @@ def compute(
             record.add(key, names[i], summary)
             yield 1
         return
-    scored = _behind if base_of(plan.agent) is not None else _policy
     # The same batches, whatever is missing: noise is drawn by the place in the batch.
-    for chunk in sorted({i // CHUNK for i in missing}):
-        part = range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(motions)))
-        jobs = [plan.job(motions[i], seed + i) for i in part]
-        for row, summaries in scored(plan, jobs, threads, mapper):
+    parts = [
+        range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(motions)))
+        for chunk in sorted({i // CHUNK for i in missing})
+    ]
+    chunks = [[plan.job(motions[i], seed + i) for i in part] for part in parts]
+    if whole:
+        done = mapper(_whole_chunk, [(plan, chunk) for chunk in chunks])
+    else:
+        scored = _behind if base_of(plan.agent) is not None else _policy
+        done = (scored(plan, chunk, threads, mapper) for chunk in chunks)
+    for part, rows in zip(parts, done, strict=True):
+        for row, summaries in rows:
             for i, summary in zip(part, summaries, strict=True):
                 record.add(plan.key(row), names[i], summary)
         yield len(part)
+
+
+def _whole_chunk(job: tuple[Plan, Sequence[Job]]) -> list[tuple[str, list[Summary]]]:
+    plan, chunk = job
+    scored = _behind if base_of(plan.agent) is not None else _policy
+    return list(scored(plan, chunk, 1, map))
 
 
 # -- a system ----------------------------------------------------------------------------------

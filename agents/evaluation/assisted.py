@@ -49,6 +49,21 @@ class AssistUse:
         self._used_clips += int((helped & ~self._helped).sum())
         self._helped |= helped
 
+    def only_counts(self) -> AssistUse:
+        """A copy without the simulation, to be sent between processes."""
+        copy = AssistUse(self.bound_n)
+        copy.add(self)
+        return copy
+
+    def add(self, other: AssistUse) -> None:
+        """Add what another one has counted in batches of its own."""
+        self._steps += other._steps
+        self._used_steps += other._used_steps
+        self._sum_n += other._sum_n
+        self._peak_n = max(self._peak_n, other._peak_n)
+        self._clips += other._clips
+        self._used_clips += other._used_clips
+
     def figures(self) -> dict[str, Any]:
         """Use of the assist: percent of time, percent of clips, mean force while in use."""
         return {

@@ -29,6 +29,10 @@ class _FollowArgs:
     """Threads of physics and networks."""
     seed: int = 0
     """Seed of the embedded motions."""
+    workers: int = 0
+    """Ray workers that share the clips, each with --threads threads; 0 for none."""
+    ray: str | None = None
+    """Address of a Ray cluster for --workers, by default one of this machine alone."""
 
 
 @dataclass(frozen=True)

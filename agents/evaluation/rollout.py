@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import gymnasium as gym
@@ -12,6 +12,7 @@ import numpy as np
 from agents.agent import Agent
 from agents.evaluation.assisted import AssistUse
 from agents.evaluation.follow import evaluation_sim, follow
+from agents.evaluation.mapping import Mapper
 from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.objects import shapes_of
@@ -22,8 +23,22 @@ from questsim.motion.clip import FPS, Clip
 from questsim.objects import ObjectTrack
 from questsim.skeleton import NUM_LINKS
 
-BATCH_CLIPS = 320
-"""Largest number of clips simulated at once; recordings of more would fill the memory."""
+BATCH_CLIPS = 64
+"""Clips simulated together, of similar length: a batch takes as long as its longest clip."""
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """The arguments of ``roll_out`` for one batch, with the bound of its assist in N."""
+
+    agent: Agent
+    clips: list[Clip]
+    config: EnvConfig
+    threads: int
+    shown: list[Clip] | None
+    assist_n: float | None
+    begin_at: dict[str, Clip] | None
+    seed: int
 
 
 def env_config(
@@ -69,8 +84,9 @@ def roll_out(
     assist: AssistUse | None = None,
     begin_at: Mapping[str, Clip] | None = None,
     seed: int = 0,
+    mapper: Mapper = map,
 ) -> list[Rollout]:
-    """Run an agent on clips, in as few batches as memory allows.
+    """Run an agent on clips, in batches of ``BATCH_CLIPS``.
 
     Args:
         agent: any agent.
@@ -81,6 +97,7 @@ def roll_out(
         assist: applies an assisting force; None for physics without one.
         begin_at: estimates in which episodes begin, see ``BatchSim``.
         seed: of the device noise and of places on a terrain.
+        mapper: runs the batches, here or on workers, with the same bits.
 
     Returns:
         One rollout per clip, in the order of ``clips``.
@@ -88,16 +105,32 @@ def roll_out(
     Raises:
         InputError: a clip is shorter than the future window, or the agent does not fit.
     """
-    # Batch clips of similar length: a batch takes as long as its longest clip.
-    order = sorted(range(len(clips)), key=lambda i: len(clips[i]))
+    parts = batches_of(clips, BATCH_CLIPS)
+    jobs = [
+        _Batch(
+            agent,
+            [clips[i] for i in part],
+            config,
+            threads,
+            None if shown is None else [shown[i] for i in part],
+            None if assist is None else assist.bound_n,
+            begin_at and {clips[i].name: begin_at[clips[i].name] for i in part},
+            seed,
+        )
+        for part in parts
+    ]
     rollouts: dict[int, Rollout] = {}
-    for first in range(0, len(order), BATCH_CLIPS):
-        part = order[first : first + BATCH_CLIPS]
-        batch = [clips[i] for i in part]
-        seen = None if shown is None else [shown[i] for i in part]
-        rolled = _roll_out_batch(agent, batch, config, threads, seen, assist, begin_at, seed)
+    for part, (rolled, used) in zip(parts, mapper(_roll_out_batch, jobs), strict=True):
         rollouts.update(zip(part, rolled, strict=True))
+        if assist is not None and used is not None:
+            assist.add(used)
     return [rollouts[i] for i in range(len(clips))]
+
+
+def batches_of(clips: Sequence[Clip], size: int) -> list[list[int]]:
+    """Numbers of the clips in batches of at most ``size``, the shortest clips first."""
+    order = sorted(range(len(clips)), key=lambda i: len(clips[i]))
+    return [order[first : first + size] for first in range(0, len(order), size)]
 
 
 class Recorder:
@@ -155,21 +188,15 @@ def _as_ours(sim: BatchSim, clip: Clip) -> Clip:
     return replace(clip, link_position=position, link_quat=quat)
 
 
-def _roll_out_batch(
-    agent: Agent,
-    clips: list[Clip],
-    config: EnvConfig,
-    threads: int,
-    shown: list[Clip] | None,
-    assist: AssistUse | None,
-    begin_at: Mapping[str, Clip] | None,
-    seed: int,
-) -> list[Rollout]:
-    sim = evaluation_sim(clips, config, threads, seed, shown, begin_at)
+def _roll_out_batch(job: _Batch) -> tuple[list[Rollout], AssistUse | None]:
+    """The rollouts of a batch, and how much of the assist it used."""
+    clips = job.clips
+    sim = evaluation_sim(clips, job.config, job.threads, job.seed, job.shown, job.begin_at)
+    assist = None if job.assist_n is None else AssistUse(job.assist_n)
     try:
-        agent.bind(sim)
+        job.agent.bind(sim)
         recorder = Recorder(sim, max(len(clip) for clip in clips))
-        followed = follow(agent, sim, clips, recorder, assist)
+        followed = follow(job.agent, sim, clips, recorder, assist)
     finally:
         sim.close()
     steps = int(followed.frames.sum())
@@ -198,4 +225,4 @@ def _roll_out_batch(
                 root=None if config.body is None else recorder.root[:frames, i],
             )
         )
-    return rollouts
+    return rollouts, None if assist is None else assist.only_counts()

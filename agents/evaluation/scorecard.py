@@ -21,6 +21,7 @@ from rich.table import Table
 
 from agents.agent import Agent
 from agents.evaluation.follow import choose_clips
+from agents.evaluation.mapping import Mapper
 from agents.evaluation.report import evaluation_context
 from agents.evaluation.rollout import env_config, roll_out
 from agents.evaluation.scorecard_rows import BARS, EXTRA, TRIALS, Trial
@@ -37,8 +38,6 @@ from questsim.motion.clip import Clip
 from questsim.statistics import interval
 
 SCORECARD_FILE, TRIAL_FILE = "scorecard.json", "trial.json"
-_BATCH_CLIPS = 64
-"""Clips simulated together, of similar length: a batch takes as long as its longest clip."""
 FirstAnswers = Callable[[Sequence[Clip]], Mapping[str, Clip]]
 """Makes estimates of the first frames of clips, by name."""
 
@@ -79,6 +78,7 @@ def scorecard(
     extra: str | None = None,
     first_answers: FirstAnswers | None = None,
     say: Callable[[str], None] = print,
+    mapper: Mapper = map,
 ) -> dict[str, Any]:
     """Evaluate a policy and its variants, and compare the figures with the bars.
 
@@ -94,6 +94,7 @@ def scorecard(
         extra: motions of the trial ``extra``, which is left out without them.
         first_answers: estimates for the trial ``estimate``, which is left out without it.
         say: prints a line after each trial.
+        mapper: runs the batches of a trial, here or on workers, with the same bits.
 
     Returns:
         The contents of ``scorecard.json``.
@@ -109,7 +110,7 @@ def scorecard(
     for job in jobs:
         kept, began = _kept(job, out), time.perf_counter()
         if kept is None:
-            kept = _evaluated(job, out, threads, first_answers)
+            kept = _evaluated(job, out, threads, first_answers, mapper)
             spent, done = spent + time.perf_counter() - began, done + job.frames
         left -= job.frames
         figures[job.name] = kept
@@ -227,7 +228,11 @@ def _kept(job: _Job, out: Path | None) -> dict[str, Any] | None:
 
 
 def _evaluated(
-    job: _Job, out: Path | None, threads: int, first_answers: FirstAnswers | None
+    job: _Job,
+    out: Path | None,
+    threads: int,
+    first_answers: FirstAnswers | None,
+    mapper: Mapper,
 ) -> dict[str, Any]:
     """The figures of a trial; writes its report and the file that keeps it."""
     folder = None if out is None else out / job.name
@@ -236,17 +241,15 @@ def _evaluated(
         good = pushed(job.agent, job.clips[0], job.config, float(trial.push_n), threads)
         figures = _share(float(np.mean(good)), interval(np.asarray(good, float)))
     elif trial.world is not None:
-        row = world_row(trial.world, job.agent, job.clips, job.config, threads, 0)
+        row = world_row(trial.world, job.agent, job.clips, job.config, threads, 0, mapper)
         figures = _share(row["success"], row["interval"]) | {"world": row}
     else:
         begin_at = first_answers(job.clips) if trial.estimate and first_answers else None
-        rollouts = []
-        order = sorted(job.clips, key=len)
-        for first in range(0, len(order), _BATCH_CLIPS):
-            part = order[first : first + _BATCH_CLIPS]
-            names = {clip.name for clip in part}
-            begun = begin_at and {k: v for k, v in begin_at.items() if k in names}
-            rollouts += roll_out(job.agent, part, job.config, threads, begin_at=begun)
+        # Sorted, as the reports of earlier versions are.
+        ordered = sorted(job.clips, key=len)
+        rollouts = roll_out(
+            job.agent, ordered, job.config, threads, begin_at=begin_at, mapper=mapper
+        )
         context = evaluation_context(
             job.label, job.agent, job.motions, job.clips, job.config, threads
         )

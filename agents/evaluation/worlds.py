@@ -17,6 +17,8 @@ import numpy as np
 
 from agents.agent import Agent
 from agents.evaluation.follow import choose_clips, evaluation_sim, follow
+from agents.evaluation.mapping import Mapper
+from agents.evaluation.rollout import batches_of
 from agents.evaluation.standing_pushes import rounded, standing_rows
 from agents.run_folder import plain
 from envs.config import EnvConfig
@@ -130,6 +132,7 @@ def run_worlds(
     threads: int = 1,
     max_clips: int | None = None,
     seed: int = 0,
+    mapper: Mapper = map,
 ) -> dict[str, Any]:
     """Run every row of the table.
 
@@ -140,6 +143,7 @@ def run_worlds(
         threads: physics threads.
         max_clips: largest number of clips in each setting, of all kinds.
         seed: seed of positions, directions and objects; terrain seeds are fixed.
+        mapper: runs the batches of a row, here or on workers, with the same bits.
 
     Returns:
         ``{"rows": [...], "speed": {...}}`` of plain numbers.
@@ -156,7 +160,7 @@ def run_worlds(
         chosen = world_clips(world, clips)
         if max_clips is not None:
             chosen = choose_clips(chosen, max_clips)
-        rows.append(world_row(world, agent, chosen, config, threads, seed))
+        rows.append(world_row(world, agent, chosen, config, threads, seed, mapper))
     grouped = [clip for clip in clips if group_of(clip.kind)]
     rows += standing_rows(agent, config, threads)
     return {"rows": rows, "speed": terrain_speed(grouped, config, threads)}
@@ -172,14 +176,29 @@ def world_clips(world: World, clips: Sequence[Clip]) -> list[Clip]:
 
 
 def world_row(
-    world: World, agent: Agent, clips: Sequence[Clip], config: EnvConfig, threads: int, seed: int
+    world: World,
+    agent: Agent,
+    clips: Sequence[Clip],
+    config: EnvConfig,
+    threads: int,
+    seed: int,
+    mapper: Mapper = map,
 ) -> dict[str, Any]:
     """A row of the table; the arguments are those of ``run_worlds``, the clips ``world_clips``."""
     parts = {}
     shares = np.zeros(len(clips))
     by_group: dict[str, list[bool]] = {}
-    for name, changes in world.settings.items():
-        good = _good(world.success, agent, clips, replace(config, **changes), threads, seed)
+    batches = batches_of(clips, _BATCH_CLIPS)
+    jobs = [
+        (world.success, agent, [clips[i] for i in batch], replace(config, **changes), threads, seed)
+        for changes in world.settings.values()
+        for batch in batches
+    ]
+    results = iter(mapper(_good, jobs))
+    for name in world.settings:
+        good = np.zeros(len(clips), bool)
+        for batch in batches:
+            good[batch] = next(results)
         parts[name] = {"clips": len(clips), "succeeded": int(good.sum())}
         shares += good / len(world.settings)
         for clip, succeeded in zip(clips, good, strict=True):
@@ -201,35 +220,23 @@ def world_row(
     }
 
 
-def _good(
-    success: str,
-    agent: Agent,
-    clips: Sequence[Clip],
-    config: EnvConfig,
-    threads: int,
-    seed: int,
-) -> np.ndarray:
-    """Success of each clip ``(C,)`` bool, in batches as memory allows."""
-    order = sorted(range(len(clips)), key=lambda i: len(clips[i]))
-    good = np.zeros(len(clips), bool)
+def _good(job: tuple[str, Agent, list[Clip], EnvConfig, int, int]) -> np.ndarray:
+    """Success of each clip of a batch ``(C,)`` bool."""
+    success, agent, clips, config, threads, seed = job
     if success != "follow":
         config = replace(config, max_error_m=_NEVER_LOST_M)
-    for first in range(0, len(order), _BATCH_CLIPS):
-        part = order[first : first + _BATCH_CLIPS]
-        batch = [clips[i] for i in part]
-        sim = evaluation_sim(batch, config, threads, seed)
-        try:
-            agent.bind(sim)
-            watch = _Watch(sim, batch)
-            followed = follow(agent, sim, batch, watch)
-        finally:
-            sim.close()
-        well = ~followed.fell
-        if success == "up":
-            well &= watch.up_at(round((_PUSH_END_S + RECOVERY_S) * FPS))
-        elif success == "ball":
-            well &= watch.up_at(None) & (watch.ball_moved_m > BALL_MOVED_M)
-        good[part] = well
+    sim = evaluation_sim(clips, config, threads, seed)
+    try:
+        agent.bind(sim)
+        watch = _Watch(sim, clips)
+        followed = follow(agent, sim, clips, watch)
+    finally:
+        sim.close()
+    good = ~followed.fell
+    if success == "up":
+        good &= watch.up_at(round((_PUSH_END_S + RECOVERY_S) * FPS))
+    elif success == "ball":
+        good &= watch.up_at(None) & (watch.ball_moved_m > BALL_MOVED_M)
     return good
 
 

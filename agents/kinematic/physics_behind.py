@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 
 from agents.evaluation.assisted import AssistUse
+from agents.evaluation.mapping import Mapper
 from agents.evaluation.rollout import env_config, roll_out
 from agents.kinematic.interface import Poses
 from agents.loading import load_agent
@@ -68,6 +69,7 @@ def follow_poses(
     motions: Sequence[Motion],
     threads: int = 1,
     assist: AssistUse | None = None,
+    mapper: Mapper = map,
 ) -> list[Rollout]:
     """Let the avatar follow a system's estimates, and compare its motion with the true motions.
 
@@ -76,10 +78,12 @@ def follow_poses(
         motions: the users' true motions.
         threads: physics threads.
         assist: applies an assisting force; None for physics without one.
+        mapper: runs the batches, see ``roll_out``.
     """
     tracker, truths = load_agent(TRACKER), [to_clip(motion) for motion in motions]
     shown = [begun_as(clip, truth) for clip, truth in zip(references, truths, strict=True)]
-    return roll_out(tracker, truths, env_config(tracker), threads, shown=shown, assist=assist)
+    config = env_config(tracker)
+    return roll_out(tracker, truths, config, threads, shown=shown, assist=assist, mapper=mapper)
 
 
 def begun_as(estimate: Clip, truth: Clip) -> Clip:

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import json
 import multiprocessing
-import shutil
-import tarfile
 import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -20,12 +17,12 @@ import torch
 
 from agents.policy.checkpoint import read_card
 from agents.resolve import policy_folder
-from agents.run_folder import RECORD, read_run, versions
+from agents.run_folder import RECORD, packed, read_run, unpack, versions
 from agents.sweep.options import SweepArgs
 from agents.sweep.settings import Setting
-from agents.training.cluster import ray_cluster
 from agents.training.learner import TrainingError
 from agents.training.options import TrainArgs
+from agents.training.ray_session import check_versions, ray_cluster
 from agents.training.train_policy import train
 from questsim.errors import InputError
 from questsim.extensions import load_extensions
@@ -181,7 +178,7 @@ def _on_nodes(args: SweepArgs) -> Iterator[Callable[[Run], Future[dict[str, Any]
         except (errors.WorkerCrashedError, errors.NodeDiedError):
             fix = "see Ray's logs, then continue by --resume"
             raise InputError("its node died several times", run.folder, fix) from None
-        _unpack(files, run.folder)
+        unpack(files, run.folder)
         return result
 
     pool = ThreadPoolExecutor(args.workers)
@@ -196,28 +193,9 @@ def _on_nodes(args: SweepArgs) -> Iterator[Callable[[Run], Future[dict[str, Any]
 def _train_on_node(run: Run, wanted: dict[str, str]) -> tuple[dict[str, Any], bytes]:
     """Train a run in a temporary folder of this node; its result, and its files as a tar."""
     load_extensions()
-    for name, version in versions().items():
-        if wanted.get(name) != version:
-            raise InputError(
-                f"has {name} {version}, the sweep has {wanted.get(name)}",
-                "a node of --ray",
-                "install the same versions on every node",
-            )
+    check_versions(versions(), wanted, "a node of --ray")
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "run"
         result = train_here(replace(run, args=replace(run.args, out=folder)))
-        packed = io.BytesIO()
-        with tarfile.open(fileobj=packed, mode="w:gz") as tar:
-            tar.add(folder, ".")
-        return result, packed.getvalue()
-
-
-def _unpack(files: bytes, folder: Path) -> None:
-    """Write a run folder from its tar, in place of what an interrupted run left there."""
-    fresh = folder.with_name(f".{folder.name}.new")
-    shutil.rmtree(fresh, ignore_errors=True)
-    with tarfile.open(fileobj=io.BytesIO(files)) as tar:
-        tar.extractall(fresh, filter="data")
-    shutil.rmtree(folder, ignore_errors=True)
-    fresh.rename(folder)
+        return result, packed(folder)

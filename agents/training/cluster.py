@@ -7,9 +7,7 @@ bit for bit.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -23,6 +21,13 @@ from agents.policy.networks import TorquePolicy
 from agents.run_folder import versions
 from agents.training.buffers import TensorRolloutBuffer
 from agents.training.players import AfterStep, Truncated
+from agents.training.ray_session import (
+    check_cores,
+    check_head,
+    check_versions,
+    head_answers,
+    result,
+)
 from agents.training.rollout_worker import (
     ROLLOUT,
     BatchSpec,
@@ -64,14 +69,7 @@ class ActorPool(VecEnv):
                 "--workers",
                 f"take a multiple of {count}, as in --envs {count * -(-batch.num_envs // count)}",
             )
-        wanted, found = count * batch.threads, int(ray.cluster_resources().get("CPU", 0))
-        if wanted > found:
-            raise InputError(
-                f"{count} workers of {batch.threads} threads need {wanted} cores, the cluster has "
-                f"{found}",
-                "--workers",
-                "take fewer workers or threads, or add nodes",
-            )
+        check_cores(count, batch.threads)
         self._ray = ray
         self._part = batch.num_envs // count
         self._batch = replace(batch, num_envs=self._part)
@@ -82,7 +80,8 @@ class ActorPool(VecEnv):
         self._ready: list[tuple[str, tuple[Any, ...]]] = []
         self._episodes: list[tuple[np.ndarray, ...]] = []
         about = self._all(lambda actor: actor.call.remote("describe"))
-        self._check_versions([a.pop("versions") for a in about])
+        for number, found in enumerate(about):
+            check_versions(found.pop("versions"), versions(), f"worker {number}")
         self.layout: dict[str, slice] = about[0]["layout"]
         self.torque_limits: np.ndarray = about[0]["torque_limits"]
         self.damping: np.ndarray = about[0]["damping"]
@@ -107,18 +106,6 @@ class ActorPool(VecEnv):
         """Number of workers."""
         return len(self._actors)
 
-    @staticmethod
-    def _check_versions(found: list[dict[str, str]]) -> None:
-        own = versions()
-        for number, other in enumerate(found):
-            for name, version in own.items():
-                if other.get(name) != version:
-                    raise InputError(
-                        f"has {name} {other.get(name)}, the learner has {version}",
-                        f"worker {number}",
-                        "install the same versions on every node",
-                    )
-
     def _all(self, call: Callable[[Any], Any]) -> list[Any]:
         """Results of a call to every worker, in the workers' order."""
         references = [call(actor) for actor in self._actors]
@@ -129,13 +116,9 @@ class ActorPool(VecEnv):
 
         for _ in range(ATTEMPTS):
             try:
-                return self._ray.get(reference)
-            except errors.RayTaskError as error:
-                cause = error.cause
-                if isinstance(cause, InputError):
-                    raise cause from None
-                raise
+                return result(reference)
             except (errors.RayActorError, errors.ObjectLostError, errors.OwnerDiedError):
+                check_head()  # without it Ray would wait for ever for a new worker
                 self._replace(k)
                 reference = call(self._actors[k])
         fix = "see Ray's logs; a worker may need more memory than its node has (fewer --envs)"
@@ -223,8 +206,9 @@ class ActorPool(VecEnv):
 
     def close(self) -> None:
         """Stop the workers."""
-        for actor in self._actors:
-            self._ray.kill(actor)
+        if head_answers():
+            for actor in self._actors:
+                self._ray.kill(actor)
         self._actors = []
 
     # Required by VecEnv; a learner with workers never steps the pool.
@@ -349,47 +333,3 @@ def _actor(ray: Any, threads: int) -> Any:
             return getattr(self.worker, method)(*args)
 
     return ray.remote(num_cpus=threads)(Worker)
-
-
-@contextmanager
-def ray_cluster(address: str | None, cores: int) -> Iterator[None]:
-    """Context of a Ray cluster: a new one on this machine, or an existing one.
-
-    Args:
-        address: of an existing cluster; None starts one on this machine, on loopback only.
-        cores: cores that the workers need on this machine.
-
-    Raises:
-        InputError: Ray is not installed, or no cluster answers at the address.
-    """
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    if address is None:
-        # Only this setting binds a Ray node to loopback, so that no other node can join it.
-        os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
-        # Ray's default, 15, starves the workers beside other programs while the learner waits.
-        os.environ.setdefault("RAY_worker_niceness", "0")
-    else:
-        os.environ.setdefault("RAY_AUTH_MODE", "token")
-    try:
-        import ray
-    except ModuleNotFoundError:
-        fix = "pip install 'questsim[cluster]'"
-        raise InputError("needs Ray, which is not installed", "--workers", fix) from None
-    began = not ray.is_initialized()
-    if began:
-        quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
-        try:
-            if address is None:
-                ray.init(num_cpus=cores, include_dashboard=False, **quiet)
-            else:
-                ray.init(address=address, **quiet)
-        except (ConnectionError, ValueError, RuntimeError) as error:
-            reason = str(error).splitlines()[0][:200]
-            what = f"no Ray cluster answers there: {reason}"
-            fix = "start it by: ray start --head (docs/scaling.md)"
-            raise InputError(what, f"--ray {address}", fix) from None
-    try:
-        yield
-    finally:
-        if began:
-            ray.shutdown()

@@ -22,6 +22,7 @@ from agents.training.cluster import with_rates_of
 from agents.training.learner import Learner
 from agents.training.loggers import LogName
 from agents.training.monitor import Display, Monitor, evaluation_figures
+from agents.training.ray_session import HeadLostError
 
 
 @dataclass
@@ -148,6 +149,7 @@ class Stage:
 
         Raises:
             TrainingError: a loss or reward is not finite; the last checkpoint is kept.
+            HeadLostError: the Ray cluster died; a checkpoint of this moment is written.
         """
         learner, budget = self.learner, self.budget
         if budget.progress(learner.num_timesteps) >= 1 and self._is_evaluated():
@@ -155,12 +157,17 @@ class Stage:
         monitor = Monitor(self.env, self.folder / "tensorboard", self.log, self._config())
         if not self.history:
             self._evaluate(monitor, display)
+            self._save_last()
         due = self._next_evaluation()
         while not stopper.requested and budget.progress(learner.num_timesteps) < 1:
             if self.before_iteration is not None:
                 self.before_iteration(learner.num_timesteps)
             progress = budget.progress(learner.num_timesteps)
-            figures = learner.iterate(monitor.observe, progress)
+            try:
+                figures = learner.iterate(monitor.observe, progress)
+            except HeadLostError:  # the learner still has the state after the last rollout
+                self._save_last()
+                raise
             rate = monitor.write(learner.num_timesteps, figures)
             self._show(display, rate, monitor.reward)
             if learner.num_timesteps >= due:

@@ -27,7 +27,7 @@ from agents.run_folder import (
     refuse_existing,
     start_run,
 )
-from agents.training.cluster import ActorPool, ray_cluster
+from agents.training.cluster import ActorPool
 from agents.training.fresh_motions import REDRAW_STEPS, FreshMotions, check_share, redrawing
 from agents.training.hold_out import without_styles
 from agents.training.learner import Learner
@@ -37,10 +37,12 @@ from agents.training.monitor import Display
 from agents.training.options import TrainArgs
 from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PRESETS, PPOConfig, Preset, StageConfig, shown_estimates
+from agents.training.ray_session import ray_cluster, ray_runs
 from agents.training.rollout_worker import BatchSpec
 from agents.training.specialists import read_specialist
 from agents.training.stage import Budget, Stage, Stopper
 from agents.training.start_estimates import estimated, start_estimates
+from agents.training.watched import watched
 from envs.config import EnvConfig
 from envs.objects import objects_named
 from envs.pushes import Pushes
@@ -73,6 +75,13 @@ MAY_DIFFER_ON_RESUME = {
 
 
 def train(args: TrainArgs) -> int:
+    """See ``train_here``; with ``--workers`` in a process of its own."""
+    if args.workers and not ray_runs():
+        return watched(train_here, args)
+    return train_here(args)
+
+
+def train_here(args: TrainArgs) -> int:
     """Run a training; returns the exit code.
 
     Raises:

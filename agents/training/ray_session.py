@@ -1,0 +1,234 @@
+"""A Ray cluster: joined or started on this machine, watched, and used like ``map``."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+import torch
+
+from agents.evaluation.mapping import Mapper
+from agents.run_folder import versions
+from questsim.errors import InputError
+from questsim.extensions import load_extensions
+
+JobT = TypeVar("JobT")
+ResultT = TypeVar("ResultT")
+RETRIES = 3
+"""Attempts after the first one of a job whose process or node died."""
+CHECK_S = 5.0
+"""While waiting for results, the head is asked this often whether it still answers."""
+CHECKS = 3
+"""Attempts to reach the head before it counts as dead."""
+
+
+class HeadLostError(InputError):
+    """The head of the cluster died: nothing more can be asked of any worker."""
+
+
+@contextmanager
+def ray_cluster(address: str | None, cores: int) -> Iterator[None]:
+    """Context of a Ray cluster: a new one on this machine, or an existing one.
+
+    Args:
+        address: of an existing cluster; None starts one on this machine, on loopback only.
+        cores: cores that the workers need on this machine.
+
+    Raises:
+        InputError: Ray is not installed, or no cluster answers at the address.
+    """
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    if address is None:
+        # Only this setting binds a Ray node to loopback, so that no other node can join it.
+        os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
+        # Ray's default, 15, starves the workers beside other programs while the learner waits.
+        os.environ.setdefault("RAY_worker_niceness", "0")
+    else:
+        os.environ.setdefault("RAY_AUTH_MODE", "token")
+    try:
+        import ray
+    except ModuleNotFoundError:
+        fix = "pip install 'questsim[cluster]'"
+        raise InputError("needs Ray, which is not installed", "--workers", fix) from None
+    began = not ray.is_initialized()
+    if began:
+        quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+        try:
+            if address is None:
+                # "local": without it Ray would join a cluster that happens to run here.
+                ray.init("local", num_cpus=cores, include_dashboard=False, **quiet)
+            else:
+                ray.init(address=address, **quiet)
+        except Exception as error:  # Ray raises plain ones, as for a start that takes too long
+            reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
+            if address is None:
+                fix = "try again when the machine is less busy, or see Ray's logs"
+                raise InputError(f"Ray did not start: {reason}", "--workers", fix) from error
+            what = f"no Ray cluster answers there: {reason}"
+            fix = "start it by: ray start --head (docs/scaling.md)"
+            raise InputError(what, f"--ray {address}", fix) from None
+    try:
+        yield
+    finally:
+        if began and head_answers():
+            ray.shutdown()
+
+
+def ray_runs() -> bool:
+    """Whether this process uses a cluster already."""
+    try:
+        import ray
+    except ModuleNotFoundError:
+        return False
+    return ray.is_initialized()
+
+
+# -- waiting for results -----------------------------------------------------------------------
+
+
+def result(reference: Any) -> Any:
+    """The result of a call, like ``ray.get``, which waits for ever when the head has died.
+
+    Raises:
+        HeadLostError: the head does not answer any more.
+        InputError: the call itself raised it.
+    """
+    import ray
+    from ray import exceptions as errors
+
+    while True:
+        try:
+            return ray.get(reference, timeout=CHECK_S)
+        except errors.GetTimeoutError:
+            check_head()
+        except errors.RayTaskError as error:
+            if isinstance(error.cause, InputError):
+                raise error.cause from None
+            raise
+
+
+def check_head() -> None:
+    """Do nothing as long as the head lives.
+
+    Raises:
+        HeadLostError: the head does not answer.
+    """
+    for _ in range(CHECKS):
+        if head_answers():
+            return
+        time.sleep(1.0)
+    fix = "start the cluster again, then continue by the same command and --resume"
+    raise HeadLostError("the head of the Ray cluster died", "--workers", fix)
+
+
+def head_answers() -> bool:
+    """Whether the process that manages the cluster accepts connections."""
+    import ray
+
+    host, _, port = ray.get_runtime_context().gcs_address.rpartition(":")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=CHECK_S).close()
+    except OSError:
+        return False
+    return True
+
+
+# -- work that is independent clip by clip -----------------------------------------------------
+
+
+@contextmanager
+def ray_map(workers: int, address: str | None = None, cores: int = 1) -> Iterator[Mapper]:
+    """A function like ``map`` whose calls run on Ray workers; plain ``map`` without workers.
+
+    Args:
+        workers: calls that run at the same time; 0 for none but this process.
+        address: of a Ray cluster; None for one of this machine alone.
+        cores: cores of one call.
+
+    Raises:
+        InputError: Ray is not installed, no cluster answers, it has too few cores, a node has
+            other versions, or a call itself raised it.
+    """
+    if workers < 0:
+        raise InputError(f"is {workers}, below 0", "--workers")
+    if workers == 0:
+        if address is not None:
+            raise InputError("needs --workers", "--ray", "add --workers N")
+        yield map
+        return
+    with ray_cluster(address, workers * cores):
+        check_cores(workers, cores)
+        yield _mapped(workers, cores)
+
+
+def check_cores(workers: int, threads: int) -> None:
+    """Refuse more workers than the cluster has cores for.
+
+    Raises:
+        InputError: saying how many there are.
+    """
+    import ray
+
+    wanted, found = workers * threads, int(ray.cluster_resources().get("CPU", 0))
+    if wanted > found:
+        raise InputError(
+            f"{workers} workers of {threads} threads need {wanted} cores, the cluster has {found}",
+            "--workers",
+            "take fewer workers or threads, or add nodes",
+        )
+
+
+def _mapped(workers: int, cores: int) -> Mapper:
+    import ray
+    from ray import exceptions as errors
+
+    own = versions()
+    task = ray.remote(num_cpus=cores, max_retries=RETRIES)(_call)
+
+    def of(reference: Any) -> Any:
+        try:
+            return result(reference)
+        except (errors.WorkerCrashedError, errors.NodeDiedError, errors.OutOfMemoryError):
+            fix = "see Ray's logs; a worker may need more memory than its node has"
+            raise InputError(f"died {RETRIES + 1} times", "a worker", fix) from None
+
+    def mapped(function: Callable[[JobT], ResultT], jobs: Iterable[JobT]) -> Iterator[ResultT]:
+        waiting: deque[Any] = deque()
+        shared = ray.put(function)  # once for all jobs: it may hold their common data
+        for job in jobs:
+            if len(waiting) == workers:
+                yield of(waiting.popleft())
+            waiting.append(task.remote(shared, job, own, cores))
+        while waiting:
+            yield of(waiting.popleft())
+
+    return mapped
+
+
+def _call(
+    function: Callable[[JobT], ResultT], job: JobT, wanted: dict[str, str], threads: int
+) -> ResultT:
+    load_extensions()
+    check_versions(versions(), wanted, "a node of --ray")
+    torch.set_num_threads(threads)
+    return function(job)
+
+
+def check_versions(found: dict[str, str], wanted: dict[str, str], where: str) -> None:
+    """Refuse a node whose results would have other bits.
+
+    Raises:
+        InputError: naming the first library that differs.
+    """
+    for name, version in wanted.items():
+        if found.get(name) != version:
+            raise InputError(
+                f"has {name} {found.get(name)}, the command has {version}",
+                where,
+                "install the same versions on every node",
+            )

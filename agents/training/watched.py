@@ -1,0 +1,59 @@
+"""Run a command in a process of its own, since Ray ends the process that uses a dead node.
+
+When the Ray node under a program dies, Ray's own code ends that program with exit code 1 and no
+word. The parent process here sees that and says what happened.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import sys
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import Any, TypeVar
+
+from questsim.cli import guarded
+from questsim.errors import InputError
+from questsim.extensions import load_extensions
+
+ArgsT = TypeVar("ArgsT")
+
+
+def watched(function: Callable[[ArgsT], int], args: ArgsT) -> int:
+    """The exit code of ``function(args)``, run in a new process.
+
+    Its errors are printed there. Ctrl-C reaches both processes; the new one answers it.
+
+    Raises:
+        InputError: the process died.
+    """
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_run, args=(sender, function, args))
+    before = {
+        signal.SIGINT: signal.signal(signal.SIGINT, signal.SIG_IGN),
+        signal.SIGTERM: signal.signal(signal.SIGTERM, lambda *_: process.terminate()),
+    }
+    try:
+        process.start()
+        sender.close()
+        process.join()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if receiver.poll():
+        return receiver.recv()
+    raise InputError(
+        "the Ray node of this command died, and Ray ended the command",
+        "--workers",
+        "start the cluster again, then continue a training by the same command and --resume",
+    )
+
+
+def _run(sender: Connection, function: Callable[[Any], int], args: Any) -> None:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    load_extensions()
+    code = guarded(lambda: function(args))
+    sender.send(code)
+    sys.exit(code)

@@ -1,0 +1,117 @@
+"""Evaluations, comparisons and variations on Ray workers: the same results as without them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from agents.training.ray_session import ray_cluster, ray_map
+from questsim.cli import main
+from questsim.errors import InputError
+from questsim.motion.library import load_library
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    if find_spec("ray") is None:
+        pytest.skip("Ray is not installed")
+    with ray_cluster(None, 2):
+        yield
+
+
+def run(words: str, *more: object) -> None:
+    assert main([*words.split(), *map(str, more)]) == 0
+
+
+def scores(path: Path) -> list[dict[str, str]]:
+    """The rows of a table of clips, without times."""
+    with path.open() as file:
+        return [{k: v for k, v in row.items() if "real" not in k} for row in csv.DictReader(file)]
+
+
+def test_an_evaluation_on_workers_has_the_same_scores(tmp_path, cluster, monkeypatch):
+    monkeypatch.setattr("agents.evaluation.rollout.BATCH_CLIPS", 1)
+    line = "evaluate --agent questsim-now --motions synthetic:stand --max-clips 2 --threads 1"
+    line += " --assist 100 --begin still"
+    run(line, "--out", tmp_path / "alone")
+    run(line, "--out", tmp_path / "shared", "--workers", 2)
+    assert scores(tmp_path / "alone/clips.csv") == scores(tmp_path / "shared/clips.csv")
+    used = [json.loads((tmp_path / d / "metrics.json").read_text()) for d in ("alone", "shared")]
+    assert used[0]["context"]["assist"] == used[1]["context"]["assist"]
+
+
+def test_a_scorecard_and_a_row_of_worlds_on_workers_are_the_same(cluster):
+    from agents.evaluation.scorecard import scorecard
+
+    cards = []
+    for workers in (0, 2):
+        with ray_map(workers) as mapper:
+            card = scorecard(
+                "questsim", "synthetic:walk", None, 1, 1, rows=("h2c", "slope_8deg"), mapper=mapper
+            )
+        cards.append(card["rows"])
+    assert cards[0] == cards[1]
+    assert cards[0]
+
+
+def test_a_comparison_on_workers_is_the_same(tmp_path, cluster):
+    line = "evaluate --compare --agents hmdposer hmdposer+physics --motions synthetic:stand"
+    line += " --sensors H+2C --max-clips 1 --threads 1"
+    tables = []
+    for more in ((), ("--workers", 2)):
+        run(line, "--out", tmp_path / str(len(more)), *more)
+        table = json.loads((tmp_path / str(len(more)) / "comparison.json").read_text())
+        tables.append([{k: v for k, v in row.items() if k != "ms"} for row in table["rows"]])
+    assert tables[0] == tables[1]
+
+
+def test_ablations_on_workers_are_the_same(tmp_path, cluster):
+    line = "ablations --agent hmdposer --preset smoke --steps 2 --max-clips 1 --threads 1"
+    line += " --motions synthetic:stand --test synthetic:wave --seed 1 --variants"
+    found = []
+    for more in ((), ("--workers", 2)):
+        out = tmp_path / str(len(more))
+        run(line, "no-shape-head", "--out", out, *more)
+        found.append(scores(out / "ablations.csv"))
+    assert found[0] == found[1]
+
+
+def test_variations_on_workers_are_the_same(tmp_path, cluster, monkeypatch):
+    monkeypatch.setattr("agents.commands.vary.PART", 1)
+    line = "motions vary synthetic:stand --count 2 --seed 4 --out"
+    run(line, tmp_path / "alone.npz")
+    run(line, tmp_path / "shared.npz", "--workers", 2)
+    alone, shared = (load_library(tmp_path / f"{n}.npz").clips for n in ("alone", "shared"))
+    assert [clip.name for clip in alone] == [clip.name for clip in shared]
+    for one, other in zip(alone, shared, strict=True):
+        assert np.array_equal(one.qpos, other.qpos)
+
+
+def test_an_error_on_a_worker_is_the_same_error_here(cluster):
+    with ray_map(2) as mapper, pytest.raises(InputError, match="two is refused"):
+        list(mapper(_refuse_two, [1, 2, 3]))
+
+
+def _refuse_two(number: int) -> int:
+    if number == 2:
+        raise InputError("two is refused")
+    return number
+
+
+@pytest.mark.parametrize("line", ["evaluate", "motions vary synthetic --out x.npz"])
+def test_a_cluster_without_workers_is_refused(line, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main([*line.split(), "--ray", "localhost:6379"]) == 2
+    assert "--ray: needs --workers; add --workers N" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
