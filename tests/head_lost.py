@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+WHOLE = "stages.teacher.learning.rollout_steps=4 stages.teacher.learning.minibatch=16"
 
 
 def main(folder: Path) -> None:
@@ -19,33 +20,26 @@ def main(folder: Path) -> None:
     os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"}
     from ray.cluster_utils import Cluster
 
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 2})
-    out = folder / "run"
+    node = {"num_cpus": 2, "include_dashboard": False}
+    cluster = Cluster(initialize_head=True, head_node_args=node)
+    out, log = folder / "run", folder / "log"
     options = (
         f"--preset smoke --stage teacher --motions synthetic:stand --envs 4 --threads 1 --out {out}"
-        " --steps 1000000 --set stages.teacher.learning.rollout_steps=4"
-        " stages.teacher.learning.minibatch=16 validation_clips=1"
+        f" --steps 1000000 --workers 2 --ray {cluster.address} --set validation_clips=1 {WHOLE}"
     )
-    command = [sys.executable, "train.py", *options.split()]
-    with (folder / "log").open("w+") as log:
+    with log.open("w") as file:
         training = subprocess.Popen(
-            [*command, "--workers", "2", "--ray", cluster.address],
-            cwd=ROOT, stdout=log, stderr=subprocess.STDOUT,
-        )  # fmt: skip
-        curves = out / "teacher" / "curves.csv"
-        while training.poll() is None and not list(out.glob("teacher/**/*.csv")):
-            time.sleep(0.5)
-        time.sleep(3.0)
-        print("curves", curves.exists(), list(out.glob("teacher/**/*")), flush=True)
-        head = cluster.head_node
-        head.kill_gcs_server()
-        head.kill_raylet()
-        began = time.monotonic()
-        code = training.wait(timeout=120)
-        print("exit", code, "after", round(time.monotonic() - began), flush=True)
-        log.seek(0)
-        print(log.read()[-1500:], flush=True)
-    print("checkpoint", (out / "teacher" / "last" / "policy.yaml").is_file(), flush=True)
+            [sys.executable, "train.py", *options.split()], cwd=ROOT, stdout=file, stderr=file
+        )
+        while training.poll() is None and not list(out.glob("teacher/last/policy.yaml")):
+            time.sleep(0.2)
+        time.sleep(1.0)
+        cluster.head_node.kill_gcs_server()
+        cluster.head_node.kill_raylet()
+        print("exit", training.wait(timeout=300), flush=True)
+    lines = [line for line in log.read_text().splitlines() if line.startswith("error:")]
+    print("one line" if len(lines) == 1 and " died" in lines[0] else log.read_text(), flush=True)
+    print("checkpoint" if (out / "teacher/last/resume.pt").is_file() else "none", flush=True)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -13,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import yaml
 from learners import QUICK, SMALL, nothing
 
 from agents.run_folder import versions
@@ -125,11 +127,20 @@ def test_a_killed_worker_is_replaced_and_plays_the_same_again(batch, cluster):
 
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed")
-def test_a_cluster_of_two_nodes_trains_the_same_when_it_loses_one(tmp_path):
-    script = Path(__file__).with_name("two_nodes.py")
-    root = str(script.parents[1])
+@pytest.mark.parametrize(
+    ("script", "expected"),
+    [
+        # trains the same when it loses a node; Ray reports the lost node in between
+        ("two_nodes.py", ["nodes 2", "used 2", "lost", "same"]),
+        # without its head a training ends with one line and a checkpoint
+        ("head_lost.py", ["exit 2", "one line", "checkpoint"]),
+    ],
+)
+def test_a_cluster_of_its_own(tmp_path, script, expected):
+    path = Path(__file__).with_name(script)
+    root = str(path.parents[1])
     done = subprocess.run(
-        [sys.executable, str(script), str(tmp_path)],
+        [sys.executable, str(path), str(tmp_path)],
         capture_output=True,
         text=True,
         timeout=600,
@@ -137,7 +148,6 @@ def test_a_cluster_of_two_nodes_trains_the_same_when_it_loses_one(tmp_path):
         | {"PYTHONPATH": root},
     )
     assert done.returncode == 0, done.stderr[-3000:]
-    expected = ["nodes 2", "used 2", "lost", "same"]  # Ray reports the lost node in between
     assert [line for line in done.stdout.splitlines() if line in expected] == expected
 
 
@@ -157,6 +167,13 @@ def test_more_workers_than_cores_are_refused(batch, cluster):
 
     with pytest.raises(InputError, match="need 4 cores, the cluster has 2"):
         ActorPool(batch, 4)
+
+
+def test_workers_that_need_more_memory_than_there_is_are_refused(batch, cluster):
+    from agents.training.cluster import ActorPool
+
+    with pytest.raises(InputError, match=r"2 workers of about 500\.5 GB each do not fit: .*room"):
+        ActorPool(replace(batch, num_envs=2_000_000), 2)
 
 
 def test_train_py_trains_with_workers_and_goes_on_with_others(tmp_path, cluster, capsys):
@@ -184,6 +201,8 @@ def test_a_cluster_that_does_not_answer_is_refused(tmp_path, monkeypatch, capsys
         raise ConnectionError("could not connect\nmore lines")
 
     monkeypatch.setattr(ray, "init", unreachable)
+    alone = lambda function, args: function(args)  # noqa: E731
+    monkeypatch.setattr("agents.training.train_policy.watched", alone)
     assert main([*line.split(), "--ray", "127.0.0.1:1", "--out", str(tmp_path / "out")]) == 2
     assert "--ray 127.0.0.1:1: no Ray cluster answers there" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
@@ -205,3 +224,14 @@ def test_a_cluster_without_workers_is_refused(tmp_path, capsys):
     assert main(line.split()) == 2
     assert "--ray: needs --workers; add --workers N" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+
+
+def test_the_cluster_file_of_the_docs_fits_rays_schema():
+    ray = pytest.importorskip("ray", reason="Ray is not installed")
+    jsonschema = pytest.importorskip("jsonschema")
+    file = Path(__file__).parents[1] / "docs" / "examples" / "ray-cluster.yaml"
+    schema = Path(ray.__file__).parent / "autoscaler" / "ray-schema.json"
+    described = yaml.safe_load(file.read_text())
+    jsonschema.validate(described, json.loads(schema.read_text()))
+    assert described["head_node_type"] in described["available_node_types"]
+    subprocess.run(["bash", "-n", str(file.with_name("cluster.slurm"))], check=True)

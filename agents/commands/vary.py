@@ -20,7 +20,7 @@ PART = 8
 """Variations that a worker makes at a time."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class VaryArgs(vary_command.VaryArgs):
     """Vary motions randomly in speed, posture, stance, path and arm movement."""
 

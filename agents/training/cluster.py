@@ -22,8 +22,8 @@ from agents.run_folder import versions
 from agents.training.buffers import TensorRolloutBuffer
 from agents.training.players import AfterStep, Truncated
 from agents.training.ray_session import (
-    check_cores,
     check_head,
+    check_room,
     check_versions,
     head_answers,
     result,
@@ -69,10 +69,10 @@ class ActorPool(VecEnv):
                 "--workers",
                 f"take a multiple of {count}, as in --envs {count * -(-batch.num_envs // count)}",
             )
-        check_cores(count, batch.threads)
         self._ray = ray
         self._part = batch.num_envs // count
         self._batch = replace(batch, num_envs=self._part)
+        check_room(count, batch.threads, self._batch.memory)
         self._shared = ray.put(self._batch)
         self._change: tuple[Any, int] | None = None
         self._actors: list[Any] = [self._make(k) for k in range(count)]
@@ -98,7 +98,7 @@ class ActorPool(VecEnv):
         )
 
     def _make(self, k: int) -> Any:
-        actor = _actor(self._ray, self._batch.threads)
+        actor = _actor(self._ray, self._batch)
         return actor.remote(self._shared, self._batch.seed + SEED_STEP * k)
 
     @property
@@ -322,8 +322,8 @@ class RemoteStudentPlayer:
         """Does nothing: the pool restores the state."""
 
 
-def _actor(ray: Any, threads: int) -> Any:
-    """The worker's class as a Ray actor that reserves the given number of cores."""
+def _actor(ray: Any, batch: BatchSpec) -> Any:
+    """The worker's class as a Ray actor that reserves the cores and memory of a batch."""
 
     class Worker:
         def __init__(self, batch: BatchSpec, seed: int) -> None:
@@ -332,4 +332,4 @@ def _actor(ray: Any, threads: int) -> Any:
         def call(self, method: str, *args: Any) -> Any:
             return getattr(self.worker, method)(*args)
 
-    return ray.remote(num_cpus=threads)(Worker)
+    return ray.remote(num_cpus=batch.threads, memory=batch.memory)(Worker)

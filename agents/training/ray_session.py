@@ -162,15 +162,20 @@ def ray_map(workers: int, address: str | None = None, cores: int = 1) -> Iterato
         yield map
         return
     with ray_cluster(address, workers * cores):
-        check_cores(workers, cores)
+        check_room(workers, cores)
         yield _mapped(workers, cores)
 
 
-def check_cores(workers: int, threads: int) -> None:
-    """Refuse more workers than the cluster has cores for.
+def check_room(workers: int, threads: int, memory: int = 0) -> None:
+    """Refuse more workers than the cluster has cores or memory for.
+
+    Args:
+        workers: number of workers.
+        threads: cores of each.
+        memory: bytes of each.
 
     Raises:
-        InputError: saying how many there are.
+        InputError: saying how much there is.
     """
     import ray
 
@@ -180,6 +185,20 @@ def check_cores(workers: int, threads: int) -> None:
             f"{workers} workers of {threads} threads need {wanted} cores, the cluster has {found}",
             "--workers",
             "take fewer workers or threads, or add nodes",
+        )
+    nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
+    free = [node.get("memory", 0.0) for node in nodes]
+    # A worker is on one node: what is left over on several nodes does not add up.
+    room = sum(
+        min(int(node.get("CPU", 0)) // threads, int(bytes_ // max(memory, 1)))
+        for node, bytes_ in zip(nodes, free, strict=True)
+    )
+    if room < workers:
+        raise InputError(
+            f"{workers} workers of about {memory / 1e9:.1f} GB each do not fit: there is room for "
+            f"{room} in the {sum(free) / 1e9:.1f} GB of the cluster",
+            "--workers",
+            "take fewer workers or --envs, or add nodes",
         )
 
 
