@@ -114,7 +114,7 @@ def roll_out(
             threads,
             None if shown is None else [shown[i] for i in part],
             None if assist is None else assist.bound_n,
-            begin_at and {clips[i].name: begin_at[clips[i].name] for i in part},
+            None if begin_at is None else {clips[i].name: begin_at[clips[i].name] for i in part},
             seed,
         )
         for part in parts

@@ -20,6 +20,7 @@ from agents.follower.calibration import POSES, Calibration
 from agents.follower.follower import Follower
 from agents.headset.session import LiveSession
 from agents.resolve import LIVE_POLICY, AgentName
+from envs.terrain import Terrain, terrain_named
 from questsim.avatar_pose import AvatarPose
 from questsim.devices import DeviceFrame
 from questsim.errors import InputError, at_least
@@ -49,6 +50,8 @@ class LiveArgs:
     """File written by Calibration.save, used instead of measuring."""
     assist: float = ASSIST_N
     """Largest force in N that assists the avatar's balance; 0 for physics without assistance."""
+    terrain: str | None = None
+    """Ground under the avatar, e.g. rough or slope:slope_deg=6; the user's own floor is level."""
     replay: Path | None = None
     """Drive the avatar from this recording; pages only watch."""
     record: Path | None = None
@@ -107,11 +110,12 @@ def live(args: LiveArgs, out: Path | None = None) -> None:
     calibration = None if args.calibration is None else Calibration.load(args.calibration)
     if calibration is None and recording is not None and recording.calibration is not None:
         calibration = Calibration.of(recording.calibration)
-    follower = Follower(args.agent, args.sensors, assist_n=args.assist)
+    terrain = None if args.terrain is None else terrain_named(args.terrain, "--terrain")
+    follower = Follower(args.agent, args.sensors, assist_n=args.assist, terrain=terrain)
     with ExitStack() as stack:
         heed_frame, count = _recorder(stack, out or args.record)
         make = _session_maker(args, follower, calibration, heed_frame)
-        asyncio.run(_serve(args, make, recording))
+        asyncio.run(_serve(args, make, recording, terrain))
         if count is not None:
             print(f"{count()} frames in {out or args.record}", file=sys.stderr)
 
@@ -180,7 +184,10 @@ def _session_maker(
 
 
 async def _serve(
-    args: LiveArgs, make: Callable[..., LiveSession], recording: Recording | None
+    args: LiveArgs,
+    make: Callable[..., LiveSession],
+    recording: Recording | None,
+    terrain: Terrain | None,
 ) -> None:
     from agents.headset.server import LiveServer
     from agents.headset.tls import LOOPBACK_NAMES, own_addresses, server_context
@@ -193,7 +200,7 @@ async def _serve(
         context = server_context(args.cert, args.key, list({*LOOPBACK_NAMES, *names}))
     token = "" if local else secrets.token_urlsafe(16)
     pages = recording is None and args.vmc_in is None
-    server = LiveServer(args.host, token, context, page_drives=pages)
+    server = LiveServer(args.host, token, context, page_drives=pages, terrain=terrain)
     with make(server.publish) as session:
         server.session = session
         await server.start(args.port)

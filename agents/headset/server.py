@@ -12,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from agents.headset.messages import (
@@ -24,6 +25,7 @@ from agents.headset.messages import (
 )
 from agents.headset.session import LiveSession
 from agents.headset.tls import known_host
+from envs.terrain import Terrain, height_field
 from questsim.errors import InputError
 from questsim.exporting.glb import avatar_glb
 
@@ -33,6 +35,8 @@ POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'unsafe-inline'; "
     "connect-src 'self' blob:; img-src 'self' data: blob:; frame-ancestors 'none'"
 )
+GROUND_M, GROUND_POINTS = 16.0, 161
+"""Side of the square of ground that a page shows, and points along it."""
 MAX_CLIENTS = 32
 SLOW_S = 10.0
 """A client that receives nothing for longer than this (s) is disconnected."""
@@ -57,6 +61,7 @@ class LiveServer:
         token: required in every address; empty on loopback, where none is needed.
         context: TLS context; None for plain HTTP on loopback.
         page_drives: whether a page may drive the avatar.
+        terrain: the ground that pages show; None for a plane.
 
     Attributes:
         session: set this before ``start``.
@@ -64,8 +69,14 @@ class LiveServer:
     """
 
     def __init__(
-        self, host: str, token: str, context: ssl.SSLContext | None, page_drives: bool = True
+        self,
+        host: str,
+        token: str,
+        context: ssl.SSLContext | None,
+        page_drives: bool = True,
+        terrain: Terrain | None = None,
     ) -> None:
+        self._terrain = terrain
         self._host, self._token, self._context = host, token, context
         self._page_drives = page_drives
         self._clients: dict[web.WebSocketResponse, _Outbox] = {}
@@ -86,6 +97,7 @@ class LiveServer:
         for path in FILES:
             app.router.add_get(path, self._file)
         app.router.add_get("/avatar.glb", self._avatar)
+        app.router.add_get("/ground.json", self._ground)
         app.router.add_get("/ws", self._socket)
         self._runner = web.AppRunner(app, access_log=None, handle_signals=False)
         await self._runner.setup()
@@ -150,6 +162,11 @@ class LiveServer:
             raise web.HTTPBadRequest(text="height is not a stature") from None
         body = await asyncio.to_thread(_glb, round(height, 2))
         return web.Response(body=body, content_type="model/gltf-binary")
+
+    async def _ground(self, _: web.Request) -> web.StreamResponse:
+        """Heights of the ground around the origin for the page; null for a plane."""
+        terrain = self._terrain
+        return web.json_response(None if terrain is None else ground_of(terrain))
 
     async def _socket(self, request: web.Request) -> web.StreamResponse:
         if len(self._clients) >= MAX_CLIENTS:
@@ -253,3 +270,20 @@ class _Outbox:
 @lru_cache(maxsize=8)
 def _glb(height_m: float) -> bytes:
     return avatar_glb(height_m)
+
+
+def ground_of(terrain: Terrain) -> dict[str, Any]:
+    """A square of ``GROUND_M`` around the origin in the page's axes.
+
+    Returns:
+        ``points`` along each side, ``side_m``, and ``heights`` in metres, row by row towards the
+        user's back, each from left to right.
+    """
+    along = np.linspace(-0.5 * GROUND_M, 0.5 * GROUND_M, GROUND_POINTS)
+    right, back = np.meshgrid(along, along)
+    heights = height_field(terrain).ground_at(np.stack([-back, -right], axis=-1))
+    return {
+        "points": GROUND_POINTS,
+        "side_m": GROUND_M,
+        "heights": [round(float(height), 3) for height in heights.ravel()],
+    }

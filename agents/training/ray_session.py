@@ -21,6 +21,8 @@ JobT = TypeVar("JobT")
 ResultT = TypeVar("ResultT")
 RETRIES = 3
 """Attempts after the first one of a job whose process or node died."""
+STARTS = 3
+"""Attempts to start Ray on this machine."""
 CHECK_S = 5.0
 """While waiting for results, the head is asked this often whether it still answers."""
 CHECKS = 3
@@ -57,26 +59,39 @@ def ray_cluster(address: str | None, cores: int) -> Iterator[None]:
         raise InputError("needs Ray, which is not installed", "--workers", fix) from None
     began = not ray.is_initialized()
     if began:
-        quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
-        try:
-            if address is None:
-                # "local": without it Ray would join a cluster that happens to run here.
-                ray.init("local", num_cpus=cores, include_dashboard=False, **quiet)
-            else:
-                ray.init(address=address, **quiet)
-        except Exception as error:  # Ray raises plain ones, as for a start that takes too long
-            reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
-            if address is None:
-                fix = "try again when the machine is less busy, or see Ray's logs"
-                raise InputError(f"Ray did not start: {reason}", "--workers", fix) from error
-            what = f"no Ray cluster answers there: {reason}"
-            fix = "start it by: ray start --head (docs/scaling.md)"
-            raise InputError(what, f"--ray {address}", fix) from None
+        _begin(ray, address, cores)
     try:
         yield
     finally:
         if began and head_answers():
             ray.shutdown()
+
+
+def _begin(ray: Any, address: str | None, cores: int) -> None:
+    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+    if address is not None:
+        try:
+            ray.init(address=address, **quiet)
+        except Exception as error:  # Ray raises plain ones, too
+            what = f"no Ray cluster answers there: {_reason(error)}"
+            fix = "start it by: ray start --head (docs/scaling.md)"
+            raise InputError(what, f"--ray {address}", fix) from None
+        return
+    for attempt in range(1, STARTS + 1):
+        try:
+            # "local": without it Ray would join a cluster that happens to run here.
+            ray.init("local", num_cpus=cores, include_dashboard=False, **quiet)
+            return
+        except Exception as error:  # a plain one, if the start takes Ray longer than 30 s
+            if attempt == STARTS:
+                fix = "try again when the machine is less busy, or see Ray's logs"
+                raise InputError(
+                    f"Ray did not start: {_reason(error)}", "--workers", fix
+                ) from error
+
+
+def _reason(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0][:200]
 
 
 def ray_runs() -> bool:

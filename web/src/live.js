@@ -5,7 +5,7 @@ import { VRButton } from "three/addons/webxr/VRButton.js";
 import { Connection } from "./connection.js";
 import { readFrame } from "./devices.js";
 import { Figure } from "./figure.js";
-import { Board, Forces, Mirror, Stage, makeWorld } from "./world.js";
+import { Board, Forces, Mirror, Stage, loadGround, makeWorld } from "./world.js";
 
 const element = (id) => document.getElementById(id);
 const EVENT_MS = 4000;
@@ -29,6 +29,9 @@ addEventListener("resize", () => {
 });
 
 const scene = makeWorld();
+loadGround(scene).catch((error) => {
+  element("fault").textContent = `the ground was not loaded: ${error.message}`;
+});
 const own = new Figure();
 const seen = new Figure(true);
 const forces = new Forces();

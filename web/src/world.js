@@ -19,6 +19,23 @@ export function makeWorld() {
   return scene;
 }
 
+// The server's ground in place of the level floor, if it has any.
+export async function loadGround(scene) {
+  const address = new URL("/ground.json", location.href);
+  const token = new URLSearchParams(location.search).get("token");
+  if (token) address.searchParams.set("token", token);
+  const ground = await (await fetch(address)).json();
+  if (!ground) return;
+  const level = scene.getObjectByName("floor");
+  const shape = new PlaneGeometry(ground.side_m, ground.side_m, ground.points - 1, ground.points - 1);
+  // A plane's rows run from far to near, each from left to right, as the server's do.
+  ground.heights.forEach((height, i) => shape.attributes.position.setZ(i, height));
+  shape.computeVertexNormals();
+  level.geometry.dispose();
+  level.geometry = shape;
+  level.material.map.repeat.set(ground.side_m / 2, ground.side_m / 2);
+}
+
 function floor() {
   const canvas = document.createElement("canvas");
   canvas.width = canvas.height = 128;
@@ -35,6 +52,7 @@ function floor() {
   texture.anisotropy = 4;
   const plane = new Mesh(new PlaneGeometry(FLOOR_M, FLOOR_M), new MeshStandardMaterial({ map: texture, roughness: 1 }));
   plane.rotation.x = -Math.PI / 2;
+  plane.name = "floor";
   return plane;
 }
 
