@@ -1,27 +1,28 @@
-"""Teacher steps/s with and without Ray workers, and what to expect of more cores.
+"""Cost of a teacher's training with and without Ray workers, and what to expect of more cores.
 
     python -m benchmarks.cluster [--json] [--envs 256] [--repeats 5]
 
-The teacher of the preset `cpu` learns by PPO: here with one and with two threads, and with one
-Ray worker of two threads and two of one thread. Iterations of all of them alternate, so that a busy
-machine slows all alike. A model with the measured costs predicts larger clusters, with 256 avatars
-and one core a worker. Seconds of an iteration:
+The teacher of the preset `cpu` learns by PPO on one thread: without Ray, with one worker, and with
+two workers of half the avatars each. Times are CPU times of the learner and its workers, so that
+other programs do not disturb them. A model with these costs predicts larger clusters, with 256
+avatars and one core a worker. Seconds of an iteration:
 
-    rollouts to the learner:  s * p + N * s * b / B + N * s * u
-    gradients of the workers: s * p + s * u1 + k * 2 * g / B
+    rollouts to the learner:  s * p + N * s * b / B + N * s * u / 2
+    gradients of the workers: s * p + s * u + k * 2 * g / B
 
-with s = avatars of a worker * steps; p, u1 seconds to play and to learn from one step on one core;
-u those to learn from it on the learner's two cores; N the workers, B the bandwidth, b the bytes of
-a step, k the minibatches of an iteration of one worker, g the bytes of a gradient. Workers play
-side by side. In the first line, which is what the project does, the learner alone receives and
-learns. The second is the best case of averaging the gradients: no worker waits for another.
+with s = avatars of a worker * steps; p, u seconds to play and to learn from one step on one core;
+N the workers, B the bandwidth, b the bytes of a step, k the minibatches of an iteration of one
+worker, g the bytes of a gradient. Workers play side by side. In the first line, which is what the
+project does, the learner alone receives and learns, on two cores that share the work evenly. The
+second is the best case of averaging the gradients: no worker waits for another.
 """
 
 from __future__ import annotations
 
 import statistics
+import time
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -32,7 +33,7 @@ from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PRESETS, PPOConfig
 from agents.training.ray_session import ray_cluster
 from agents.training.rollout_worker import BatchSpec
-from benchmarks.common import arguments, clips, report, seconds
+from benchmarks.common import arguments, clips, report
 from envs.config import EnvConfig
 
 CORES = (8, 64, 512)
@@ -46,7 +47,6 @@ class Costs:
 
     Attributes:
         play, learn: seconds of one core to play a step of one avatar and to learn from it.
-        update: seconds of the learner's two cores to learn from it.
         size: bytes of it that a worker returns.
         gradient: bytes of a gradient.
         minibatch, epochs: of the update.
@@ -54,7 +54,6 @@ class Costs:
 
     play: float
     learn: float
-    update: float
     size: float
     gradient: float
     minibatch: int
@@ -68,8 +67,10 @@ class Costs:
             samples: steps of all avatars of a worker in an iteration.
             bandwidth: bytes/s into the learner.
         """
-        moved = workers * samples * self.size / bandwidth
-        return workers * samples / (samples * (self.play + workers * self.update) + moved)
+        together = workers * samples
+        return together / (
+            samples * self.play + together * (self.size / bandwidth + self.learn / 2)
+        )
 
     def rate_of_gradients(self, workers: int, samples: int, bandwidth: float) -> float:
         """Predicted environment steps/s if workers learn and their gradients are averaged."""
@@ -82,22 +83,34 @@ class Costs:
 
 
 class Timed:
-    """A teacher whose iterations and updates are timed."""
+    """A teacher whose CPU times are measured, with those of its workers."""
 
-    def __init__(self, env: Any, threads: int) -> None:
+    def __init__(self, env: Any) -> None:
         self.env = env
-        self.ppo: AdaptivePPO = make_ppo(STAGE, STAGE.learning, env, 0, threads)  # type: ignore[arg-type]
+        self.ppo: AdaptivePPO = make_ppo(STAGE, STAGE.learning, env, 0, 1)  # type: ignore[arg-type]
         self.whole: list[float] = []
         self.update: list[float] = []
         train = self.ppo.train
-        self.ppo.train = lambda: self.update.append(seconds(train))  # type: ignore[method-assign]
+
+        def timed_update() -> None:
+            began = time.process_time()
+            train()
+            self.update.append(time.process_time() - began)
+
+        self.ppo.train = timed_update  # type: ignore[method-assign]
         for _ in range(2):  # measures the observations, then compiles and warms
             self.iterate()
         self.whole, self.update = [], []
 
+    def _spent(self) -> float:
+        workers = self.env.cpu_seconds() if isinstance(self.env, ActorPool) else 0.0
+        return time.process_time() + workers
+
     def iterate(self) -> None:
         """One rollout and update."""
-        self.whole.append(seconds(lambda: self.ppo.iterate(lambda *_: None, 0.0)))
+        began = self._spent()
+        self.ppo.iterate(lambda *_: None, 0.0)
+        self.whole.append(self._spent() - began)
 
     @property
     def seconds(self) -> tuple[float, float]:
@@ -107,48 +120,34 @@ class Timed:
 
 
 def measured(envs: int, repeats: int) -> tuple[dict[str, float], Costs]:
-    """Steps/s of every variant, and the costs for the model."""
+    """CPU times of every variant, and the costs for the model."""
     learning = STAGE.learning
     assert isinstance(learning, PPOConfig)
     config = EnvConfig(privileged=True, sampling=STAGE.sampling, reward=STAGE.reward)
-    batch = BatchSpec(clips(), config, envs, seed=0)
-    two, samples = replace(batch, threads=2), envs * learning.rollout_steps
-    with ray_cluster(None, 4), ExitStack() as stack:
-        runs = {
-            "1 thread": Timed(batch.make(), 1),
-            "2 threads": Timed(two.make(), 2),
-            "1 worker, 2 threads": Timed(ActorPool(two, 1), 2),
-            "2 workers, 1 thread": Timed(ActorPool(batch, 2), 2),
-        }
+    batch, samples = BatchSpec(clips(), config, envs, seed=0), envs * learning.rollout_steps
+    with ray_cluster(None, 3), ExitStack() as stack:
+        runs = {"no Ray": Timed(batch.make())}
+        runs |= {f"{count} worker(s)": Timed(ActorPool(batch, count)) for count in (1, 2)}
         for run in runs.values():
             stack.callback(run.env.close)
         for _ in range(repeats):
             for run in runs.values():
                 run.iterate()
-        size = runs["1 worker, 2 threads"].env.bytes_a_rollout / samples
-    rates = {name: samples / sum(run.seconds) for name, run in runs.items()}
-    play, learn = runs["1 thread"].seconds
-    both = rates["2 threads"]
-    weights = sum(p.numel() for p in runs["1 thread"].ppo.policy.parameters())
+        size = runs["1 worker(s)"].env.bytes_a_rollout / samples
+    whole = {name: sum(run.seconds) for name, run in runs.items()}
+    play, learn = runs["no Ray"].seconds
+    weights = sum(p.numel() for p in runs["no Ray"].ppo.policy.parameters())
     costs = Costs(
-        play / samples,
-        learn / samples,
-        runs["2 threads"].seconds[1] / samples,
-        size,
-        4.0 * weights,
-        learning.minibatch,
-        learning.epochs,
+        play / samples, learn / samples, size, 4.0 * weights, learning.minibatch, learning.epochs
     )
     return {
-        **{f"{name}, steps/s": rate for name, rate in rates.items()},
-        "1 worker, 2 threads, over 2 threads": rates["1 worker, 2 threads"] / both,
-        "2 workers, 1 thread, over 2 threads": rates["2 workers, 1 thread"] / both,
-        "overlapped at best, over 2 threads": samples / max(play, learn) / both,
+        **{f"{name}, steps per CPU second": samples / spent for name, spent in whole.items()},
+        **{f"{n} worker(s) over no Ray": whole["no Ray"] / whole[f"{n} worker(s)"] for n in (1, 2)},
+        "play, us a step": 1e6 * costs.play,
+        "learn, us a step": 1e6 * costs.learn,
         "MB a rollout": size * samples / 1e6,
         "MB of gradients instead": costs.gradient * costs.minibatches(samples) / 1e6,
-        "play, us a step and core": 1e6 * costs.play,
-        "learn, us a step and core": 1e6 * costs.learn,
-        "learn, us a step, two cores": 1e6 * costs.update,
+        "overlapped over in turn, two cores, at best": 0.5 * (play + learn) / max(play, learn),
     }, costs
 
 
@@ -158,7 +157,7 @@ def main() -> None:
     torch.set_num_threads(1)
     figures, costs = measured(args.envs, args.repeats)
     samples = args.envs * STAGE.learning.rollout_steps  # type: ignore[union-attr]
-    figures["limit of one learner, steps/s"] = 1.0 / costs.update
+    figures["limit of one learner, steps/s"] = 2.0 / costs.learn
     for cores in CORES:
         for name, bandwidth in BANDWIDTH.items():
             at = f"{cores} cores, {name}"

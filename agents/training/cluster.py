@@ -180,6 +180,10 @@ class ActorPool(VecEnv):
             after(rewards, np.concatenate([part.dones[t] for part in played]), infos)
         return played
 
+    def cpu_seconds(self) -> float:
+        """CPU time of all workers so far."""
+        return sum(self._all(lambda actor: actor.call.remote("cpu_seconds")))
+
     def policy_player(self, seed: int, workers: Workers) -> RemotePolicyPlayer:
         """Player of a policy's rollouts; workers have their own seeds and threads."""
         return RemotePolicyPlayer(self)

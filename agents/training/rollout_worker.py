@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -126,6 +127,10 @@ class RolloutWorker:
     def pid(self) -> int:
         """Process id of the worker."""
         return os.getpid()
+
+    def cpu_seconds(self) -> float:
+        """CPU time of the worker so far."""
+        return time.process_time()
 
     def node(self) -> str:
         """Id of the Ray node that the worker is on."""
