@@ -221,8 +221,8 @@ def _roll_out_batch(job: _Batch) -> tuple[list[Rollout], AssistUse | None]:
                 seconds_simulated=followed.frames[i] / FPS,
                 seconds_wall=followed.seconds * float(followed.frames[i]) / steps,
                 objects=recorder.objects_of(i),
-                body=config.body,
-                root=None if config.body is None else recorder.root[:frames, i],
+                body=job.config.body,
+                root=None if job.config.body is None else recorder.root[:frames, i],
             )
         )
     return rollouts, None if assist is None else assist.only_counts()

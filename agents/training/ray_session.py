@@ -25,7 +25,7 @@ STARTS = 3
 """Attempts to start Ray on this machine."""
 CHECK_S = 5.0
 """While waiting for results, the head is asked this often whether it still answers."""
-CHECKS = 3
+CHECKS = 5
 """Attempts to reach the head before it counts as dead."""
 
 
