@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from agents.follower.bridge import IDENTITY
 from agents.headset.messages import MAX_BYTES, MAX_PER_SECOND, Allowance, frame_of, read_message
-from agents.headset.server import PAGE, LiveServer
+from agents.headset.server import PAGE, LiveServer, ground_of
 from agents.headset.session import CALIBRATING, CALIBRATION_S, FOLLOWING, LiveSession
 from agents.headset.tls import known_host, server_context
+from envs.terrain import height_field, terrain_named
 from questsim.cli import main
 from questsim.devices import DeviceFrame, DevicePose
 from questsim.errors import InputError
@@ -357,3 +358,13 @@ def test_certificate_without_its_key_is_refused(tmp_path):
     broken.write_text("rubbish")
     with pytest.raises(InputError, match=r"a\.pem"):
         server_context(broken, broken, [])
+
+
+def test_the_page_gets_the_ground_in_its_own_axes():
+    terrain = terrain_named("rough", "--terrain")
+    ground = ground_of(terrain)
+    ahead, left = 1.0, 2.0
+    row, column = (round((x + 0.5 * ground["side_m"]) / 0.1) for x in (-ahead, -left))
+    expected = height_field(terrain).ground_at(np.array([ahead, left]))
+    assert abs(expected) > 0.003
+    assert ground["heights"][row * ground["points"] + column] == pytest.approx(expected, abs=1e-3)
