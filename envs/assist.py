@@ -20,21 +20,18 @@ COMES_M, GOES_M = 0.25, 0.12
 """Distance between the heads above which the assist fades in, and below which it fades out."""
 FORESIGHT_S = 0.1
 """How far ahead the distance is extrapolated."""
-FADE_S = 0.1
+FADE_S = 0.25
 """Duration of a full fade in or out."""
-ARM_M = 1.0
-"""Bound of the torque over bound of the force, about a pelvis' height: 300 N m for 300 N."""
+ARM_M = 0.3
+"""Bound of the torque over bound of the force: 90 N m for 300 N."""
 MAX_ASSIST_N = 2000.0
-_STIFFNESS, _DAMPING = 15.0, 6.0
-"""Gains of the force on the pelvis, 1/s^2 and 1/s per kg of the body."""
-_LIFT = 4.0
-"""Factor on the vertical part, which comes first: a body that sinks cannot be lifted again."""
-_UPRIGHTING, _UPRIGHT_DAMPING = 4.3, 0.86
-"""Gains of the torque on the sine of the tilt and its rate, N m and N m s per kg of the body."""
-_TURNING = 2.0
+_STIFFNESS, _DAMPING = 60.0, 14.0
+"""Gains of the force on the pelvis, 1/s^2 and 1/s per kg: nearly critical damping at 1.2 Hz."""
+_UPRIGHTING, _SPIN_DAMPING = 15.0, 1.2
+"""Gains of the torque on the sine of the tilt and on rad/s, N m per kg of the body."""
+_TURNING = 4.0
 """Gain of the torque about the vertical on the sine of the angle between the headings."""
 _PELVIS, _HEAD = 1, LINKS.index("head")
-_UP = np.array([0.0, 0.0, 1.0])
 
 
 class Assist:
@@ -57,11 +54,11 @@ class Assist:
         n = sim.num_envs
         self._sim, self.bound_n = sim, checked_bound(bound_n)
         self._mass = 70.0 * (sim.heights / 1.75) ** 3
-        self._wrench = sim.batch.bind("xfrc_applied")
+        self._wrench, self._spin = sim.batch.bind("xfrc_applied"), sim.batch.bind("cvel")
         self.force, self.torque = np.zeros((n, 3)), np.zeros((n, 3))
         self.share = np.zeros(n)
         self._comes = np.zeros(n, bool)
-        self._before: tuple[np.ndarray, ...] | None = None
+        self._before: np.ndarray | None = None
 
     def reset(self) -> None:
         """Turn the assist off in episodes that begin."""
@@ -78,12 +75,10 @@ class Assist:
         """
         if self.bound_n == 0.0 and not self.share.any():
             return
-        error, apart, lean = self._errors(user)
-        before = self._before or (error, apart, lean)
-        self._before = error, apart, lean
-        rate, apart_rate, lean_rate = (
-            (now - then) * FPS for now, then in zip(self._before, before, strict=True)
-        )
+        own = headsets(self._sim)
+        error = user - own
+        rate = np.zeros_like(error) if self._before is None else (error - self._before) * FPS
+        self._before = error
         distance = np.linalg.norm(error, axis=-1)
         ahead = np.linalg.norm(error + FORESIGHT_S * rate, axis=-1)
         worst = np.maximum(distance, ahead)
@@ -96,24 +91,17 @@ class Assist:
             self._wrench[:, _PELVIS] = 0.0
             return
         mass = self._mass[:, None]
-        pull = mass * (_STIFFNESS * apart + _DAMPING * apart_rate)
-        turn = _UPRIGHTING * np.cross(lean, _UP) - _UPRIGHT_DAMPING * np.cross(lean, lean_rate)
+        pull = mass * (_STIFFNESS * error + _DAMPING * rate)
+        pelvis = self._sim.link_positions[:, 0]
+        lever, wanted = _unit(own - pelvis), _unit(user - pelvis)
+        spin = self._spin[:, _PELVIS, :3]
+        turn = _UPRIGHTING * np.cross(lever, wanted) - _SPIN_DAMPING * spin
         aside = rot.heading(user_quat) - rot.heading(self._sim.link_quats[:, _HEAD])
         turn[:, 2] += _TURNING * np.sin(aside)
-        self.force[:] = self.share[:, None] * _lift_first(pull, self.bound_n)
-        self.torque[:] = self.share[:, None] * _bounded(mass * turn, ARM_M * self.bound_n)
+        turn *= mass
+        self.force[:] = self.share[:, None] * _bounded(pull, self.bound_n)
+        self.torque[:] = self.share[:, None] * _bounded(turn, ARM_M * self.bound_n)
         self._wrench[:, _PELVIS, :3], self._wrench[:, _PELVIS, 3:] = self.force, self.torque
-
-    def _errors(self, user: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of the head and of the pelvis from below the user's head ``(n, 3)`` m; the trunk's axis.
-
-        The force acts on the pelvis, so it takes the pelvis' own error: with that of the head it
-        would push the pelvis from under a trunk that leans.
-        """
-        own, pelvis = headsets(self._sim), self._sim.link_positions[:, 0]
-        trunk = own - pelvis
-        length = np.linalg.norm(trunk, axis=-1, keepdims=True)
-        return user - own, user - length * _UP - pelvis, trunk / np.maximum(length, 1e-6)
 
 
 def checked_bound(bound_n: float) -> float:
@@ -141,14 +129,8 @@ def headsets(sim: BatchSim) -> np.ndarray:
     return out
 
 
-def _lift_first(pull: np.ndarray, most: float) -> np.ndarray:
-    """Forces of at most ``most``: first the vertical part, of which 0.3 at most pulls down."""
-    pull = np.where(np.isfinite(pull), pull, 0.0)
-    up = np.clip(_LIFT * pull[:, 2], -0.3 * most, most)
-    left = np.sqrt(np.maximum(most**2 - up**2, 0.0))
-    aside = np.linalg.norm(pull[:, :2], axis=-1)
-    flat = pull[:, :2] * np.minimum(1.0, left / np.maximum(aside, 1e-9))[:, None]
-    return np.column_stack([flat, up])
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-6)
 
 
 def _bounded(vector: np.ndarray, most: float) -> np.ndarray:
