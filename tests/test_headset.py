@@ -363,8 +363,10 @@ def test_certificate_without_its_key_is_refused(tmp_path):
 def test_the_page_gets_the_ground_in_its_own_axes():
     terrain = terrain_named("rough", "--terrain")
     ground = ground_of(terrain)
-    ahead, left = 1.0, 2.0
-    row, column = (round((x + 0.5 * ground["side_m"]) / 0.1) for x in (-ahead, -left))
-    expected = height_field(terrain).ground_at(np.array([ahead, left]))
-    assert abs(expected) > 0.003
-    assert ground["heights"][row * ground["points"] + column] == pytest.approx(expected, abs=1e-3)
+    expected = []
+    for ahead, left in ((1.0, 2.0), (4.0, -5.0), (-6.0, 3.0)):
+        row, column = (round((x + 0.5 * ground["side_m"]) / 0.1) for x in (-ahead, -left))
+        expected.append(height_field(terrain).ground_at(np.array([ahead, left])))
+        found = ground["heights"][row * ground["points"] + column]
+        assert found == pytest.approx(expected[-1], abs=1e-3)
+    assert max(expected) - min(expected) > 0.01
