@@ -26,6 +26,7 @@ from agents.kinematic.interface import Poses, UserBody
 from agents.kinematic.recurrent.poser import RecurrentPoser
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import save_system
+from agents.resolve import shipped_policies, shipped_systems
 from questsim.cli import main
 from questsim.errors import INTERRUPTED, InputError
 from questsim.joint_sensors import SensorSequence, readings
@@ -308,6 +309,7 @@ def test_the_list_of_agents_has_every_agent_and_preset(capsys):
     entries = json.loads(capsys.readouterr().out)
     found = {(entry["agent"], entry["preset"]) for entry in entries}
     assert {(name, preset) for name, e in AGENTS.items() for preset in e.presets} < found
+    assert {*shipped_systems(), *shipped_policies()} <= {name for name, _ in found}
     hmd = next(e for e in entries if (e["agent"], e["preset"]) == ("hmdposer", "paper"))
     assert hmd["parameters"] == 17_444_484
     assert hmd["sensors"] == ["H+2C", "H+2C+2IMU", "H+2C+3IMU"]

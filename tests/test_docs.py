@@ -100,13 +100,15 @@ def test_the_site_builds_without_a_warning(tmp_path):
 
 
 def commands() -> list[str]:
-    """Every command of the project in the pages' code blocks, without its comment."""
+    """Every command in the pages' code blocks (without its comment) and tables."""
     found = []
     for page in PAGES:
         for line in re.findall(
             r"^(?:    )?((?:questsim|python) .+)$", page.read_text(), re.MULTILINE
         ):
             found.append(re.sub(r"\s+#.*", "", line).strip())
+        for row in re.findall(r"^\|.*", page.read_text(), re.MULTILINE):
+            found += re.findall(r"`((?:questsim|python) [^`]+)`", row)
     return sorted({line for line in found if not line.endswith("\\") and "|" not in line})
 
 

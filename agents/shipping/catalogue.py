@@ -38,22 +38,33 @@ def catalogue() -> list[dict[str, Any]]:
     for name, agent in AGENTS.items():
         for preset, config in agent.presets.items():
             there = [
-                card
-                for _, card in shipped
+                (folder.name, card)
+                for folder, card in shipped
                 if card["agent"] == name and card["training"].get("preset") == preset
             ]
             module = agent.build(config.spec)
-            entries.append(
+            own = [card for folder, card in there if folder == name]
+            entry = {
+                "agent": name,
+                "preset": preset,
+                "title": agent.title,
+                "sensors": list(agent.sensors),
+                "parameters": sum(p.numel() for p in module.parameters()),
+                "licence": licence_of(own[0]["training"]) if own else OURS,
+                "weights": bool(own),
+            }
+            entries.append(entry)
+            # Weights of the same system under another name, e.g. trained with another loss.
+            entries += [
                 {
-                    "agent": name,
-                    "preset": preset,
-                    "title": agent.title,
-                    "sensors": list(agent.sensors),
-                    "parameters": sum(p.numel() for p in module.parameters()),
-                    "licence": licence_of(there[0]["training"]) if there else OURS,
-                    "weights": bool(there),
+                    **entry,
+                    "agent": folder,
+                    "licence": licence_of(card["training"]),
+                    "weights": True,
                 }
-            )
+                for folder, card in there
+                if folder != name
+            ]
     entries.append(
         {
             "agent": IK,
@@ -95,7 +106,9 @@ def _policies() -> list[dict[str, Any]]:
             {
                 "agent": name,
                 "preset": card["training"].get("preset", "-"),
-                "title": "torque policy",
+                "title": "torque policy"
+                if "privileged" not in policy.spec.actor_blocks
+                else "torque policy that follows a full-body reference, not devices",
                 "sensors": [card["needs"]["sensors"]],
                 "parameters": sum(p.numel() for p in policy.parameters()),
                 "licence": licence_of(card["training"]),
@@ -116,6 +129,6 @@ def list_agents(args: AgentsArgs) -> None:
         if not entry["parameters"]:
             told = "needs none"
         print(
-            f"{entry['agent']:19} {entry['preset']:6} {entry['parameters'] / 1e6:7.2f} M  "
+            f"{entry['agent']:21} {entry['preset']:6} {entry['parameters'] / 1e6:7.2f} M  "
             f"{told:11}  {entry['licence']:14} {', '.join(entry['sensors']):30} {entry['title']}"
         )
