@@ -125,6 +125,17 @@ def test_pickled_objects_are_never_loaded(saved):
         load_library(changed(saved, motion_name=np.array([{"a": 1}, None], dtype=object)))
 
 
+@pytest.mark.parametrize("key", ["format", "motion_name", "clip_kind"])
+def test_damaged_characters_are_refused(key, saved):
+    with np.load(saved) as archive:
+        arrays = dict(archive)
+    text = np.array(arrays[key]).reshape(-1).astype("U40")
+    text.view(np.uint32)[3] |= 1 << 27
+    np.savez(saved, **(arrays | {key: text.reshape(np.shape(arrays[key]))}))
+    with pytest.raises(InputError, match=f"{key} holds damaged text"):
+        load_library(saved)
+
+
 def test_files_that_are_no_library_are_refused(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         load_library(tmp_path / "none.npz")

@@ -130,7 +130,7 @@ def _check_header(archive: Any, path: Path) -> None:
         if key not in archive.files:
             what = "is not a QuestSim library" if key == "format" else f"library lacks {key!r}"
             raise InputError(what, path, AGAIN)
-        found = archive[key]
+        found = _read(archive, path, key)
         if found.shape != expected.shape or not np.array_equal(found, expected):
             if expected.ndim:
                 raise InputError(f"library is for another list of {key}", path, AGAIN)
@@ -138,9 +138,19 @@ def _check_header(archive: Any, path: Path) -> None:
             raise InputError(f"library has {key} {told}, not {expected}", path, AGAIN)
 
 
+def _read(archive: Any, path: Path, key: str) -> np.ndarray:
+    """The array ``key``; text is checked, since Python fails on strings with damaged characters."""
+    array = archive[key]
+    if array.dtype.kind == "U":
+        points = np.frombuffer(array.tobytes(), f"{array.dtype.byteorder}u4")
+        if ((points > 0x10FFFF) | ((points >= 0xD800) & (points <= 0xDFFF))).any():
+            raise InputError(f"{key} holds damaged text", path, AGAIN)
+    return array
+
+
 def _array(archive: Any, path: Path, key: str, kinds: str, row: tuple[int, ...] = ()) -> np.ndarray:
     """The array ``key``, if its rows have the shape ``row`` and its type is of ``kinds``."""
-    array = archive[key]
+    array = _read(archive, path, key)
     if array.dtype.kind not in kinds or array.ndim == 0 or array.shape[1:] != row:
         raise InputError(f"{key} is {array.dtype} of shape {array.shape}", path, AGAIN)
     return array
