@@ -9,6 +9,7 @@ from questsim.body import DEFAULT_HEIGHT_M
 from questsim.body_proportions import Proportions
 from questsim.motion.clip import Clip
 from questsim.motion.kinematics import clip_from_qpos, sole_points
+from questsim.motion.library import ABOUT
 from questsim.motion.limbs import leg_m
 from questsim.motion.retarget import solve_legs
 from questsim.motion.retarget_back import joint_orientations
@@ -44,14 +45,5 @@ def with_proportions(clip: Clip, proportions: Proportions | None) -> Clip:
         root, quat, ankles, feet, np.minimum(lowest, 0.0), clip.contacts.astype(float), height,
         clip.qpos[:, 7:].copy(), proportions,
     )  # fmt: skip
-    return clip_from_qpos(
-        clip.name,
-        qpos,
-        height,
-        proportions,
-        source=clip.source,
-        source_sha256=clip.source_sha256,
-        licence=clip.licence,
-        kind=clip.kind,
-        style=clip.style,
-    )
+    about = {name: getattr(clip, name) for name in ABOUT}
+    return clip_from_qpos(clip.name, qpos, height, proportions, **about)
