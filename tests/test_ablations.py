@@ -47,8 +47,11 @@ from tests.helpers import swaying_clip
 VARIANTS = {name: entry.variants for name, entry in AGENTS.items()}
 
 MOTION = to_motion(swaying_clip(frames=42)).resampled(60.0)
-WINDOWS = {"hmdposer": 18, "lgsik": 18, "sparseposer": 64, "dragposer": 3}
-SETS = {"hmdposer": "H+2C+2IMU", "lgsik": "H+2C+3IMU", "sparseposer": "6T", "dragposer": "6T"}
+WINDOWS = {"avatarposer": 18, "hmdposer": 18, "lgsik": 18, "sparseposer": 64, "dragposer": 3}
+SETS = {
+    "avatarposer": "H+2C", "hmdposer": "H+2C+2IMU", "lgsik": "H+2C+3IMU", "sparseposer": "6T",
+    "dragposer": "6T",
+}  # fmt: skip
 SWITCHED = [
     *[(agent, v.set) for agent in VARIANTS for v in VARIANTS[agent] if v.set],
     ("sparseposer", ("spec.learned_ik=false",)),

@@ -15,7 +15,8 @@ from agents.shipping.system_card import SHOWN
 def report_of(names, folder, value=1.234):
     trained = {name: read_system_card(SHIPPED / name)["training"] for name in names}
     rows = [
-        {"agent": name, "scenario": "6", "pooled": dict.fromkeys(SHOWN, value)} for name in names
+        {"agent": name, "scenario": "6", "clips": 4, "pooled": dict.fromkeys(SHOWN, value)}
+        for name in names
     ]
     data = {"motions": "some:test", "clips": 4}
     path = folder / "comparison.json"
@@ -45,7 +46,7 @@ def test_cards_get_new_figures_and_keep_the_rest(tmp_path):
     written = rewrite_cards(report, tmp_path)
     card = (tmp_path / "lgsik" / "README.md").read_text(encoding="utf-8")
     assert written == [tmp_path / "lgsik" / "README.md", tmp_path / SOURCE.name]
-    assert "| 6 | 1.23 |" in card and LABELS["root_cm"] in card and "some:test, 4 clips" in card
+    assert "| 6 | 4 | 1.23 |" in card and LABELS["root_cm"] in card and "some:test, 4 clips" in card
     for heading in ("## Intended use", "## Limits", "## Licence"):
         assert card.count(heading) == before.count(heading) == 1
     assert card.split("## Figures")[0] == before.split("## Figures")[0]

@@ -14,6 +14,7 @@ from agents.comparison.behind import body_of
 from agents.comparison.compare import FIGURES, FILES, CompareArgs, compare, everyone, plan
 from agents.comparison.conditions import NOISES, noisy
 from agents.comparison.plots import KINDS, kind_of
+from agents.comparison.record import Record
 from agents.comparison.report import Costs, Row, row_of, table
 from agents.comparison.scenarios import faulty, scenarios
 from agents.comparison.summary import summarise
@@ -58,7 +59,7 @@ def test_one_command_scores_all_systems_on_the_same_frames(tmp_path, capsys):
     save_library(motions, [MOTION], [])
     hmd = saved("hmdposer", tmp_path / "hmd")
     out = tmp_path / "scores"
-    args = CompareArgs(agents=("ik", hmd), motions=str(motions), out=out, threads=1)
+    args = CompareArgs(agents=("ik", hmd), motions=str(motions), out=out, threads=1, windows=True)
     assert compare(args) == 0
     report = json.loads((out / "comparison.json").read_text())
     assert [row["agent"] for row in report["rows"]] == ["recording", "ik", *[hmd] * 6]
@@ -149,18 +150,26 @@ def test_a_stopped_comparison_goes_on_and_another_one_is_refused(tmp_path, monke
     args = CompareArgs(agents=("ik",), motions=str(motions), out=out, threads=1)
     done, real = [], run_module._scored
 
-    def stopped(job):
+    def stopped(poses, job):
         if done:
             raise KeyboardInterrupt
         done.append(job)
-        return real(job)
+        return real(poses, job)
 
     monkeypatch.setattr(run_module, "_scored", stopped)
     assert compare(args) == INTERRUPTED and not (out / "comparison.json").exists()
+    assert compare(replace(args, finished=True)) == 0
+    complete = json.loads((out / "comparison.json").read_text())["rows"]
+    assert [row["agent"] for row in complete] == ["recording"]
     with (out / "clips.jsonl").open("a") as file:
         file.write('{"row": "ik: 6", "cl')  # as Ctrl-C leaves it
     again = []
-    monkeypatch.setattr(run_module, "_scored", lambda job: again.append(job[2].name) or real(job))
+
+    def again_scored(poses, job):
+        again.append(job[2].name)
+        return real(poses, job)
+
+    monkeypatch.setattr(run_module, "_scored", again_scored)
     assert compare(args) == 0 and len(again) == 1
     row = json.loads((out / "comparison.json").read_text())["rows"][1]
     assert row["pooled"]["pos_cm"] < 1.0 and row["std"]["pos_cm"] > 0.0
@@ -224,7 +233,7 @@ def test_two_processes_give_the_figures_of_one(tmp_path):
         assert compare(args) == 0
         rows = json.loads((out / "comparison.json").read_text())["rows"]
         found.append([(row["scenario"], row["pooled"]) for row in rows])
-    assert found[0] == found[1] and len(found[0]) == 3
+    assert found[0] == found[1] and len(found[0]) == 2
 
 
 def test_dragposer_is_compared_in_every_scenario_of_its_table(tmp_path):
@@ -341,3 +350,55 @@ def test_the_memory_of_a_stream_counts_what_it_keeps_and_does_not_grow(tmp_path)
     kept = torch.zeros(2, 256)  # 2 KiB
     system._more = [kept, kept[:1], {"a": np.zeros(128)}]  # type: ignore[attr-defined]
     assert stream_kib(system) == before + 3.0
+
+
+def test_a_block_of_poses_is_retargeted_like_one_pose_after_the_other():
+    motion = to_motion(swaying_clip(frames=60)).resampled(60.0)
+    floor = np.linspace(0.0, 0.1, len(motion))[:, None] * [0.0, 0.0, 1.0]
+    sinking = replace(motion, root_position=motion.root_position - floor)
+    together, one = causal_clip(sinking), causal_clip(sinking, at_once=1)
+    assert np.allclose(together.qpos, one.qpos, atol=1e-12)
+    assert not np.allclose(together.qpos, causal_clip(motion).qpos, atol=1e-4)
+
+
+def test_sequences_solved_together_have_the_poses_of_their_streams(tmp_path):
+    system = load_system(saved("dragposer", tmp_path / "drag"), predictor=False)
+    motions = [MOTION, to_motion(swaying_clip(frames=14))]
+    for sensors in ("6T", "3T"):
+        seen = [readings(m.resampled(60.0), SENSOR_SETS[sensors]) for m in motions]
+        seen = [faulty(sequence, 0.1, 2) for sequence in seen]
+        bodies = [UserBody.of(motion) for motion in motions]
+        together = system.predict_many(seen, bodies)
+        for sequence, body, poses in zip(seen, bodies, together, strict=True):
+            alone = system.predict(sequence, body)
+            assert len(poses) == len(alone) == len(sequence)
+            assert np.allclose(poses.rotations, alone.rotations, atol=1e-9)
+            assert np.allclose(poses.root_position, alone.root_position, atol=1e-9)
+
+
+def test_other_weights_or_more_agents_keep_the_results_of_the_others(tmp_path):
+    agents, row = {"a": "1", "b": "1"}, summarise({"pos_cm": np.ones(3)}, 60.0)
+    with Record(tmp_path, {"seed": 0}, agents) as record:
+        record.add("a: 6", "clip", row)
+        record.add("b: 6", "clip", row)
+    with Record(tmp_path, {"seed": 0}, {"a": "2", "b": "1", "c": "1"}) as record:
+        assert record.missing(["a: 6"], ["clip"]) == [0] == record.missing(["c: 6"], ["clip"])
+        assert record.missing(["b: 6"], ["clip"]) == []
+        record.add("a: 6", "clip", row)
+    with Record(tmp_path, {"seed": 0}, {"a": "2"}) as record:
+        assert record.missing(["a: 6"], ["clip"]) == []
+
+
+def test_fewer_clips_are_for_all_rows_but_streams_of_exact_signals(tmp_path):
+    motions = tmp_path / "motions.npz"
+    save_library(motions, [MOTION, replace(MOTION, name="other")], [])
+    out = tmp_path / "scores"
+    args = CompareArgs(
+        agents=("ik",), motions=str(motions), out=out, threads=1, fewer_clips=1, noise=("white",)
+    )
+    assert compare(args) == 0
+    rows = json.loads((out / "comparison.json").read_text())["rows"]
+    assert [(row["scenario"], row["clips"]) for row in rows[1:]] == [
+        ("6", 2), ("6, noise: white", 1),
+    ]  # fmt: skip
+    assert "| ik | 6 | 2 |" in (out / "comparison.md").read_text()

@@ -26,14 +26,18 @@ from agents.training.hold_out import without_styles
 from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.joint_sensors import readings
+from questsim.motion.limbs import SIDES
 from questsim.motion.retarget_back import to_motion
 from questsim.skeleton import JOINTS
 from tests.helpers import swaying_clip
 
 MOTION = to_motion(swaying_clip(frames=90)).resampled(60.0)
 BODY = UserBody.of(MOTION)
-BANK_WINDOWS = {"sparseposer": 64, "dragposer": 3, "hmdposer": 18, "lgsik": 18}
-SETS = {"hmdposer": "H+2C+2IMU", "lgsik": "H+2C+3IMU", "sparseposer": "6T", "dragposer": "6T"}
+BANK_WINDOWS = {"avatarposer": 18, "sparseposer": 64, "dragposer": 3, "hmdposer": 18, "lgsik": 18}
+SETS = {
+    "avatarposer": "H+2C", "hmdposer": "H+2C+2IMU", "lgsik": "H+2C+3IMU", "sparseposer": "6T",
+    "dragposer": "6T",
+}  # fmt: skip
 
 
 def module_of(agent: str) -> Any:
@@ -80,6 +84,7 @@ def test_paper_presets_have_the_published_numbers_of_parameters():
     assert count(sparse.ik) == 110_176
     assert count(drag.vae) == 65_872
     assert count(drag.predictor) == pytest.approx(1.28e6, rel=0.01)
+    assert count(built("avatarposer")) == 4_124_804
     assert count(built("hmdposer")) == 17_444_484
     # Its leg heads read 15 numbers of their leg, not 18 of a hand: 2 heads x 3 x 512 fewer.
     assert count(built("lgsik")) == 7_283_988 - 2 * 3 * 512
@@ -161,7 +166,7 @@ def test_sparseposer_with_seven_future_frames_answers_seven_frames_late():
     assert np.allclose(streamed[3].root_position, streamed[0].root_position, atol=1e-6)
 
 
-@pytest.mark.parametrize("agent", ["hmdposer", "sparseposer"])
+@pytest.mark.parametrize("agent", ["avatarposer", "hmdposer", "sparseposer"])
 def test_turning_the_world_turns_the_poses(agent):
     system, seen = system_of(agent), stream(SETS[agent], 6)
     turn = rot.yaw_quat(np.array(1.1))
@@ -174,6 +179,22 @@ def test_turning_the_world_turns_the_poses(agent):
     a, b = system.predict(seen, BODY), system.predict(turned, BODY)
     moved = rot.quat_rotate(turn, a.forward_kinematics()[0]) + np.array([3.0, -2.0, 0.0])
     assert np.abs(moved - b.forward_kinematics()[0]).max() < 1e-3
+
+
+def test_avatarposers_refinement_brings_the_hands_to_the_controllers_and_moves_arms_alone():
+    seen = stream("H+2C", 50)
+    plain, refined = (
+        system_of("avatarposer", refined=refined).predict(seen, BODY) for refined in (False, True)
+    )
+    want, hands = MOTION.forward_kinematics()[0][:50], [JOINTS.index(f"{s}_wrist") for s in SIDES]
+    off = [
+        np.linalg.norm(poses.forward_kinematics()[0] - want, axis=-1)[:, hands].mean()
+        for poses in (plain, refined)
+    ]
+    assert off[1] < off[0] - 0.05
+    moved = np.abs(refined.rotations - plain.rotations).max(axis=(0, 2)) > 1e-9
+    arms = {f"{side}_{part}" for side in SIDES for part in ("shoulder", "elbow")}
+    assert {JOINTS[i] for i in np.flatnonzero(moved)} == arms
 
 
 def test_the_head_is_where_the_headset_says():

@@ -38,7 +38,10 @@ from tests.helpers import swaying_clip
 
 MOTION = to_motion(swaying_clip(frames=90))
 STEPS = 24
-SETS = {"hmdposer": "H+2C", "lgsik": "H+2C", "sparseposer": "6T", "dragposer": "6T"}
+SETS = {
+    "avatarposer": "H+2C", "hmdposer": "H+2C", "lgsik": "H+2C", "sparseposer": "6T",
+    "dragposer": "6T",
+}  # fmt: skip
 
 
 @pytest.fixture

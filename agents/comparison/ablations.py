@@ -21,8 +21,8 @@ import torch
 
 from agents.comparison.ablation_report import Result, table, write
 from agents.comparison.compare import at_sensor_rate
+from agents.comparison.costs import run
 from agents.comparison.report import Row
-from agents.comparison.run import run
 from agents.comparison.scenarios import scenarios
 from agents.kinematic.data import motions_record
 from agents.kinematic.learning import Config

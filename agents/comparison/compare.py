@@ -6,17 +6,22 @@ scenario that it supports; docs/comparison.md describes scenarios and columns.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
+from agents.comparison.conditions import NOISES
+from agents.comparison.costs import plan_costs
 from agents.comparison.drawn import DRAWN, Scored
 from agents.comparison.options import CompareArgs
 from agents.comparison.plots import plot_accuracy, plot_plausibility
 from agents.comparison.record import FILE as RECORD_FILE
 from agents.comparison.record import Record
 from agents.comparison.report import COSTS, RECORDING, TABLES, row_of, table, write
-from agents.comparison.run import Plan, compute, devices_named, plan_costs, suiting, workers
+from agents.comparison.run import Estimates, Plan, compute, devices_named, suiting, workers
 from agents.comparison.scenarios import Scenario
 from agents.evaluation.follow import choose_clips
 from agents.kinematic.data import motions_record
@@ -58,7 +63,7 @@ def compare(args: CompareArgs) -> int:
     from questsim.evaluation_report import check_writable
     from questsim.motion.spec import load_recordings
 
-    at_least(1, threads=args.threads, max_clips=args.max_clips)
+    at_least(1, threads=args.threads, max_clips=args.max_clips, fewer_clips=args.fewer_clips)
     at_least(0, seed=args.seed)
     if args.video_clips and not args.video:
         raise InputError("needs a video", "--video-clips", "add --video")
@@ -71,21 +76,27 @@ def compare(args: CompareArgs) -> int:
         from agents.comparison.film import to_be_filmed
 
         filmed = to_be_filmed(everything if args.video_clips else recordings, args.video_clips)
-    context = {
+    context: dict[str, Any] = {
         "agents": {agent: resolve(agent).training for agent in planned},
         "tracker": resolve(TRACKER).training,
         "data": motions_record(args.motions, recordings),
         "versions": versions(),
         "seed": args.seed,
+        "fewer_clips": args.fewer_clips,
     }
     plans = all_plans(planned, args)
-    with Record(out, context) as record:
+    common = {name: context[name] for name in context if name not in ("agents", "tracker")}
+    with Record(out, common, {agent: digest(agent) for agent in (RECORDING, *planned)}) as record:
         try:
             scored = _scored(plans, recordings, args, record)
         except KeyboardInterrupt:
             print(f"stopped; the same command goes on in {out}", file=sys.stderr)
             return INTERRUPTED
     rows = [row for row, _ in scored]
+    if not rows:
+        raise InputError("has no complete row", out, "leave --finished out")
+    there = {row.agent for row in rows}
+    context["agents"] = {name: told for name, told in context["agents"].items() if name in there}
     write(rows, context, out)
     for name, plot in FIGURES.items():
         with whole_file(out / name) as path:
@@ -112,37 +123,112 @@ def all_plans(planned: Mapping[str, Sequence[Scenario]], args: CompareArgs) -> l
     for agent, scenarios in planned.items():
         physics = resolve(agent).torques or base_of(agent) is not None
         starts = args.starts if physics else ()
+        kept = agent + PHYSICS in planned
         for scenario in scenarios:
-            plans.append(Plan(agent, scenario, None, starts))
+            if scenario.online and not args.windows:
+                continue
+            plans.append(Plan(agent, scenario, None, starts, kept))
             if scenario.plain:
-                plans += [Plan(agent, scenario, noise, starts[:1]) for noise in args.noise]
+                plans += [Plan(agent, scenario, each, starts[:1], kept) for each in args.noise]
     return plans
+
+
+def digest(agent: str) -> str:
+    """A digest of everything trained that an agent's rows depend on."""
+    if agent == RECORDING:
+        return RECORDING
+    parts, found = [agent], resolve(agent)
+    if found.kind == "physics":
+        parts.append(TRACKER)
+    elif found.torques:  # begins in its estimates
+        parts.append(DEFAULT_SYSTEM)
+    whole = hashlib.sha256()
+    for part in parts:
+        each = resolve(part)
+        whole.update(json.dumps(each.training, sort_keys=True, default=str).encode())
+        for file in sorted(each.folder.glob("*.safetensors")) if each.folder else ():
+            whole.update(file.read_bytes())
+    return whole.hexdigest()[:16]
 
 
 def _scored(
     plans: Sequence[Plan], motions: Sequence[Motion], args: CompareArgs, record: Record
 ) -> list[Scored]:
     """Compute what is missing and make all rows; times are measured at the end, in one pass."""
-    names = [motion.name for motion in motions]
-    left = sum(len(record.missing([plan.key(row) for row in plan.rows], names)) for plan in plans)
+    fewer = choose_clips(motions, args.fewer_clips or len(motions))
+    clips = {id(plan): motions if plan.plain else fewer for plan in plans}
+    names = {key: [motion.name for motion in each] for key, each in clips.items()}
+    if not args.finished:
+        _compute(plans, clips, names, args, record)
+    scored, measured = [], {}
+    for plan in plans:
+        there = [not record.missing([plan.key(row)], names[id(plan)]) for row in plan.rows]
+        if not any(there):
+            continue
+        costs = plan_costs(plan, motions, measured)
+        for row, cost, complete in zip(plan.rows, costs, there, strict=True):
+            if complete:
+                found = record.of(plan.key(row), names[id(plan)])
+                scored.append((row_of(plan.agent, row, found, cost), found))
+    return scored
+
+
+def _compute(
+    plans: Sequence[Plan],
+    clips: Mapping[int, Sequence[Motion]],
+    names: Mapping[int, Sequence[str]],
+    args: CompareArgs,
+    record: Record,
+) -> None:
+    """Compute the clips that the record lacks, and show how long it will take.
+
+    Args:
+        plans: of all rows.
+        clips, names: motions of each plan and their names, by the plan's ``id``.
+        args: seed and threads.
+        record: gets the results.
+    """
+    left = sum(
+        len(record.missing([plan.key(row) for row in plan.rows], names[id(plan)])) for plan in plans
+    )
     whole, done, rate, began = max(left, 1), 0, 0.0, time.monotonic()
+    estimates = Estimates()
     with Display() as display, workers(args.threads, args.workers, args.ray) as mapper:
-        for number, plan in enumerate(plans, start=1):
+        for number, plan in enumerate(in_turn(plans), start=1):
             told = f"{plan.agent}: {plan.rows[0]}"
-            for count in compute(
-                plan, motions, args.seed, args.threads, mapper, record, args.workers > 0
-            ):
+            steps = compute(
+                plan,
+                clips[id(plan)],
+                args.seed,
+                args.threads,
+                mapper,
+                record,
+                estimates,
+                args.workers > 0,
+            )
+            for count in steps:
                 done += count
                 rate = (time.monotonic() - began) / done
                 display.show("compare", min(done / whole, 1.0), told, rate * max(whole - done, 0))
             minutes = rate * max(whole - done, 0) / 60
             display.say(f"{number}/{len(plans)} {told}; about {minutes:.0f} min left")
-    scored = []
-    for plan in plans:
-        for row, costs in zip(plan.rows, plan_costs(plan, motions), strict=True):
-            clips = record.of(plan.key(row), names)
-            scored.append((row_of(plan.agent, row, clips, costs), clips))
-    return scored
+
+
+def in_turn(plans: Sequence[Plan]) -> list[Plan]:
+    """The order of computation: exact signals and plain streams first; physics after estimates."""
+
+    def place(plan: Plan) -> tuple[int, bool, int, int]:
+        base = base_of(plan.agent) or plan.agent
+        alike = [
+            other
+            for other in plans
+            if (base_of(other.agent) or other.agent) == base
+            and (other.scenario, other.noise) == (plan.scenario, plan.noise)
+        ]
+        noise = 0 if plan.noise is None else 1 + NOISES.index(plan.noise)
+        return noise, not plan.scenario.plain, plans.index(alike[0]), plans.index(plan)
+
+    return sorted(plans, key=place)
 
 
 def plan(agents: Sequence[str], sensors: str | None) -> dict[str, list[Scenario]]:

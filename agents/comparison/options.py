@@ -40,6 +40,13 @@ class CompareArgs:
     """Names of the clips in the film; by default some of different kinds."""
     max_clips: int | None = None
     """Reconstruct only this many motions, of all kinds."""
+    fewer_clips: int | None = None
+    """Use only this many of the clips, of all kinds, in all rows but those of kinematic systems
+    that stream exact signals, which take the least time."""
+    windows: bool = False
+    """Also estimate each frame from its last 40 frames alone (LGSIK-Poser's online protocol)."""
+    finished: bool = False
+    """Compute no more clips: write tables and figures of the rows that are complete in --out."""
     threads: int = 2
     """Number of parallel processes, and of threads of physics; the figures are the same."""
     workers: int = 0

@@ -2,6 +2,7 @@
 
 ``clips.jsonl`` in the folder: one line for what is compared, then one line for each clip of each
 row as soon as it is scored. The same command reads them again and computes only what is missing.
+Each line has a digest of its agent: results of other weights are not used, and agents may be added.
 """
 
 from __future__ import annotations
@@ -23,14 +24,15 @@ class Record:
 
     Args:
         folder: of the comparison.
-        what: everything that the results depend on, as plain values.
+        what: everything that all results depend on, as plain values.
+        agents: digest of each agent.
 
     Raises:
         InputError: the folder has the results of something else, or the file is damaged.
     """
 
-    def __init__(self, folder: Path, what: dict[str, Any]) -> None:
-        self.path = folder / FILE
+    def __init__(self, folder: Path, what: dict[str, Any], agents: dict[str, str]) -> None:
+        self.path, self._agents = folder / FILE, agents
         self._found: dict[tuple[str, str], Summary] = {}
         what = json.loads(json.dumps(what))
         if self.path.exists():
@@ -49,7 +51,9 @@ class Record:
             lines = [json.loads(line) for line in whole.splitlines()]
             found, entries = lines[0], lines[1:]
             for entry in entries:
-                self._found[entry["row"], entry["clip"]] = Summary(**entry["summary"])
+                row, summary = entry["row"], Summary(**entry["summary"])
+                if entry["agent"] == self._digest(row):
+                    self._found[row, entry["clip"]] = summary
         except (ValueError, IndexError, KeyError, TypeError) as error:
             raise InputError("is damaged", self.path, "remove it to begin anew") from error
         if found != what:
@@ -62,6 +66,10 @@ class Record:
         if whole != text:
             self.path.write_text(whole, encoding="utf-8")
 
+    def _digest(self, row: str) -> str | None:
+        """Digest of the agent of a row, ``AGENT: SCENARIO``; None if it is not compared."""
+        return self._agents.get(row.partition(": ")[0])
+
     def _write(self, entry: dict[str, Any]) -> None:
         self._file.write(json.dumps(entry) + "\n")
         self._file.flush()
@@ -70,7 +78,8 @@ class Record:
         """Store the results of one clip in one row."""
         if (row, clip) not in self._found:
             self._found[row, clip] = summary
-            self._write({"row": row, "clip": clip, "summary": summary.to_json()})
+            told = {"row": row, "clip": clip, "agent": self._digest(row)}
+            self._write({**told, "summary": summary.to_json()})
 
     def missing(self, rows: Iterable[str], clips: Sequence[str]) -> list[int]:
         """Indices of the clips that at least one of the rows does not have."""

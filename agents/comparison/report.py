@@ -16,7 +16,7 @@ from agents.kinematic.entry import HEADS_ALIGNED, ROOTS_ALIGNED
 from questsim.files import whole_file
 from questsim.statistics import interval
 
-SCHEMA, SCHEMA_VERSION = "questsim-comparison", 2
+SCHEMA, SCHEMA_VERSION = "questsim-comparison", 3
 WEIGHTINGS = ("equal", "pooled")
 RECORDING = "recording"
 """Name of the row for the motions themselves."""
@@ -48,6 +48,7 @@ class Row:
         parameters, ms, mmac, stream_kib: see ``Costs``.
         equal: means of the clips' means; pooled: means over all frames, so long clips weigh more.
         std: standard deviations over all frames.
+        clips: number of clips.
         low, high: 95 % bootstrap interval of ``pooled`` over clips; none for fewer than 11 clips.
     """
 
@@ -62,6 +63,7 @@ class Row:
     std: dict[str, float] = field(default_factory=dict)
     low: dict[str, float] = field(default_factory=dict)
     high: dict[str, float] = field(default_factory=dict)
+    clips: int = 0
 
     def figures(self, weighting: str) -> dict[str, float | None]:
         """The figures under a weighting in ``WEIGHTINGS``."""
@@ -76,7 +78,10 @@ def row_of(agent: str, scenario: str, scored: Sequence[Summary], costs: Costs) -
         scored: one per clip; a mean uses only clips that have its figure.
         costs: of a frame.
     """
-    row = Row(agent, scenario, costs.parameters, {}, {}, costs.ms, costs.mmac, costs.stream_kib)
+    row = Row(
+        agent, scenario, costs.parameters, {}, {}, costs.ms, costs.mmac, costs.stream_kib,
+        clips=len(scored),
+    )  # fmt: skip
     for name in dict.fromkeys(name for summary in scored for name in summary.figures):
         sums = np.array([s.figures[name] for s in scored if name in s.figures])
         count, total, squares = sums.T
@@ -129,7 +134,9 @@ def table(
             deviation and interval.
         ends: add the 95 % intervals of the means over all frames.
     """
-    head = ["agent", "scenario", *(LABELS[name] for name in names)]
+    counted = len({row.clips for row in rows}) > 1
+    told = ["clips"] if counted else []
+    head = ["agent", "scenario", *told, *(LABELS[name] for name in names)]
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for row in rows:
         figures = {**row.figures(weighting), **{name: getattr(row, name) for name in COSTS}}
@@ -138,7 +145,8 @@ def table(
             cells = [_spread(row, name) for name in names]
         elif ends and weighting == "pooled":
             cells = [c + _interval(row, n) for c, n in zip(cells, names, strict=True)]
-        lines.append(f"| {' | '.join([row.agent, row.scenario, *cells])} |")
+        told = [str(row.clips)] if counted else []
+        lines.append(f"| {' | '.join([row.agent, row.scenario, *told, *cells])} |")
     return "\n".join(lines)
 
 
@@ -193,12 +201,12 @@ def write(rows: Sequence[Row], context: dict[str, Any], out: Path) -> None:
     with whole_file(out / "comparison.csv") as path, path.open("w", newline="") as file:
         names = _columns(rows)
         writer = csv.writer(file)
-        writer.writerow(["agent", "scenario", "weighting", *names, *COSTS])
+        writer.writerow(["agent", "scenario", "clips", "weighting", *names, *COSTS])
         for row in rows:
             told = [getattr(row, name) for name in COSTS]
             for weighting in WEIGHTINGS:
                 values = [row.figures(weighting).get(name) for name in names]
-                writer.writerow([row.agent, row.scenario, weighting, *values, *told])
+                writer.writerow([row.agent, row.scenario, row.clips, weighting, *values, *told])
     data = context["data"]
     text = (
         f"# Comparison\n\n{data['clips']} clips of `{data['motions']}`, 60 frames a second. Means "

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
-import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -18,26 +17,17 @@ import torch
 from agents.comparison.behind import Shown, follow, shown_of
 from agents.comparison.conditions import Noise, Start, called, noisy, starts_of, with_noise
 from agents.comparison.record import Record
-from agents.comparison.report import RECORDING, Costs, Row, row_of
+from agents.comparison.report import RECORDING
 from agents.comparison.scenarios import PAPER_NAMES, WINDOW, Scenario, faulty, scenarios
 from agents.comparison.summary import Summary, summarise
-from agents.evaluation.follow import evaluation_sim
 from agents.evaluation.mapping import Mapper
 from agents.evaluation.rollout import env_config, roll_out
-from agents.kinematic.causal import causal_clip
-from agents.kinematic.efficiency import mmac_a_frame, stream_kib
 from agents.kinematic.first_answers import first_answers
 from agents.kinematic.interface import KinematicSystem, Poses, UserBody
-from agents.kinematic.physics_behind import (
-    TRACKER,
-    avatar_samples,
-    reference_of,
-    rollout_samples,
-)
+from agents.kinematic.physics_behind import avatar_samples, reference_of, rollout_samples
 from agents.kinematic.recurrent.poser import RecurrentPoser
 from agents.kinematic.store import load_system
 from agents.loading import load_agent
-from agents.policy.policy_agent import PolicyAgent
 from agents.resolve import base_of, resolve
 from agents.training.ray_session import ray_map
 from questsim.errors import InputError
@@ -49,9 +39,6 @@ from questsim.motion.retarget import to_clip
 from questsim.pose_metrics import ENDS, pose_samples
 from questsim.root_force import root_force
 from questsim.sensors import SENSOR_SETS
-
-TIMED_FRAMES = 600
-"""Number of frames over which streaming is timed."""
 
 CHUNK = 48
 """Clips that are simulated together."""
@@ -134,12 +121,19 @@ class Plan:
         agent, scenario: of the rows.
         noise: fault of the devices.
         starts: of the avatar; empty for a kinematic system without physics.
+        kept: whether a plan with physics needs the estimates after this one.
     """
 
     agent: str
     scenario: Scenario
     noise: Noise | None = None
     starts: tuple[Start, ...] = ()
+    kept: bool = False
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is a kinematic system as it streams, with exact signals."""
+        return not self.starts and self.noise is None and self.scenario.plain
 
     @property
     def rows(self) -> list[str]:
@@ -161,6 +155,21 @@ class Plan:
         return f"{self.agent}: {row}"
 
 
+class Estimates:
+    """The poses of the last system and scenario, so that rows with physics use them again."""
+
+    def __init__(self) -> None:
+        self._of: tuple[str, Scenario, Noise | None] | None = None
+        self._poses: dict[str, Poses] = {}
+
+    def of(self, plan: Plan) -> dict[str, Poses]:
+        """The poses kept so far by the name of their motion; those of another plan are dropped."""
+        what = (base_of(plan.agent) or plan.agent, plan.scenario, plan.noise)
+        if self._of != what:
+            self._of, self._poses = what, {}
+        return self._poses
+
+
 def compute(
     plan: Plan,
     motions: Sequence[Motion],
@@ -168,23 +177,28 @@ def compute(
     threads: int,
     mapper: Mapper,
     record: Record,
+    estimates: Estimates,
     whole: bool = False,
 ) -> Iterator[int]:
     """Score the clips that the record lacks; yields how many are done after each step.
 
     Args:
         plan, motions, seed, threads, mapper, record: see ``Plan`` and ``workers``.
+        estimates: poses of the plan before, if it is of the same system and scenario.
         whole: with physics, ``mapper`` runs whole chunks: physics runs where the mapper does.
     """
     names = [motion.name for motion in motions]
     missing = record.missing([plan.key(row) for row in plan.rows], names)
+    kept = estimates.of(plan)
     if not plan.starts:
-        jobs = [plan.job(motions[i], seed + i) for i in missing]
         key = plan.key(plan.rows[0])
-        function = _scored_itself if plan.agent == RECORDING else _scored
-        for i, summary in zip(missing, mapper(function, jobs), strict=True):
-            record.add(key, names[i], summary)
-            yield 1
+        together = list(_parts([plan.job(motions[i], seed + i) for i in missing]))
+        for jobs, found in zip(together, mapper(_score, together), strict=True):
+            for job, (poses, summary) in zip(jobs, found, strict=True):
+                if poses is not None and plan.kept:
+                    kept[job[2].name] = poses
+                record.add(key, job[2].name, summary)
+            yield len(jobs)
         return
     # The same batches, whatever is missing: noise is drawn by the place in the batch.
     parts = [
@@ -195,8 +209,7 @@ def compute(
     if whole:
         done = mapper(_whole_chunk, [(plan, chunk) for chunk in chunks])
     else:
-        scored = _behind if base_of(plan.agent) is not None else _policy
-        done = (scored(plan, chunk, threads, mapper) for chunk in chunks)
+        done = (_simulated(plan, chunk, threads, mapper, kept) for chunk in chunks)
     for part, rows in zip(parts, done, strict=True):
         for row, summaries in rows:
             for i, summary in zip(part, summaries, strict=True):
@@ -204,45 +217,67 @@ def compute(
         yield len(part)
 
 
+def _simulated(
+    plan: Plan, jobs: Sequence[Job], threads: int, mapper: Mapper, kept: dict[str, Poses]
+) -> Scored:
+    if base_of(plan.agent) is None:
+        return _policy(plan, jobs, threads, mapper)
+    return _behind(plan, jobs, threads, mapper, _all_poses(jobs, mapper, kept))
+
+
 def _whole_chunk(job: tuple[Plan, Sequence[Job]]) -> list[tuple[str, list[Summary]]]:
     plan, chunk = job
-    scored = _behind if base_of(plan.agent) is not None else _policy
-    return list(scored(plan, chunk, 1, map))
+    return list(_simulated(plan, chunk, 1, map, {}))
+
+
+def _parts(jobs: Sequence[Job]) -> Iterator[list[Job]]:
+    """Jobs that a system does together, of motions of similar length."""
+    if not jobs:
+        return
+    size = 1 if jobs[0][0] == RECORDING else loaded(jobs[0][0], jobs[0][1].options).at_once
+    ordered = sorted(jobs, key=lambda job: len(job[2])) if size > 1 else jobs
+    for first in range(0, len(ordered), size):
+        yield list(ordered[first : first + size])
+
+
+def _all_poses(jobs: Sequence[Job], mapper: Mapper, kept: dict[str, Poses]) -> list[Poses]:
+    """The estimates of all jobs: those that are kept already, and the others."""
+    based = [(base_of(job[0]) or job[0], *job[1:]) for job in jobs if job[2].name not in kept]
+    parts = list(_parts(based))
+    for part, found in zip(parts, mapper(reconstructed_all, parts), strict=True):
+        kept.update({job[2].name: poses for job, poses in zip(part, found, strict=True)})
+    return [kept[job[2].name] for job in jobs]
 
 
 # -- a system ----------------------------------------------------------------------------------
 
 
 @lru_cache(maxsize=2)
-def _loaded(agent: str, options: tuple[tuple[str, Any], ...]) -> KinematicSystem:
+def loaded(agent: str, options: tuple[tuple[str, Any], ...]) -> KinematicSystem:
+    """A system with its options; the last two are kept."""
     return load_system(agent, **dict(options))
 
 
-def run(
-    agent: str, scenario: Scenario, motions: Sequence[Motion], seed: int, mapper: Mapper = map
-) -> Row:
-    """Reconstruct all motions in one scenario and score them."""
-    jobs: list[Job] = [
-        (agent, scenario, motion, seed + i, None) for i, motion in enumerate(motions)
-    ]
-    return row_of(
-        agent, scenario.name, list(mapper(_scored, jobs)), costs(agent, scenario, motions)
-    )
+def scored(jobs: Sequence[Job]) -> list[Summary]:
+    """The sums of the clips of jobs of one row, in their order."""
+    found = {}
+    for part in _parts(jobs):
+        found.update(
+            {job[2].name: summary for job, (_, summary) in zip(part, _score(part), strict=True)}
+        )
+    return [found[job[2].name] for job in jobs]
 
 
-def costs(agent: str, scenario: Scenario, motions: Sequence[Motion]) -> Costs:
-    """What a streamed frame of a kinematic system costs, on this thread."""
-    system = _loaded(agent, scenario.options)
-    found = Costs(parameters(system), streamed_ms(agent, scenario, motions))
-    if scenario.online or not found.parameters:
-        return found
-    sequence = readings(motions[0], scenario.devices)
-    mmac = mmac_a_frame(system, sequence, UserBody.of(motions[0]))
-    return replace(found, mmac=mmac, stream_kib=stream_kib(system))
+def _score(jobs: list[Job]) -> list[tuple[Poses | None, Summary]]:
+    """Estimates and sums of the clips of jobs of one row; of the recording itself only sums."""
+    if jobs[0][0] == RECORDING:
+        return [(None, _scored_itself(job)) for job in jobs]
+    found = reconstructed_all(jobs)
+    return [(poses, _scored(poses, job)) for poses, job in zip(found, jobs, strict=True)]
 
 
-def _scored(job: Job) -> Summary:
-    return summarise(_samples(reconstructed(job), job[2], job[1].ends), SENSOR_FPS)
+def _scored(poses: Poses, job: Job) -> Summary:
+    return summarise(_samples(poses, job[2], job[1].ends), SENSOR_FPS)
 
 
 def _scored_itself(job: Job) -> Summary:
@@ -266,45 +301,26 @@ def _samples(poses: Poses, motion: Motion, ends: Sequence[int] = ENDS) -> dict[s
 
 def reconstructed(job: Job) -> Poses:
     """A system's estimate of a motion at 60 Hz, streamed or each frame from its window."""
-    agent, scenario, motion = job[:3]
-    system, sequence, body = _loaded(agent, scenario.options), _told(job), UserBody.of(motion)
-    if scenario.online:
-        assert isinstance(system, RecurrentPoser)
-        return system.predict_windows(sequence, body, WINDOW)
-    return system.predict(sequence, body)
+    return reconstructed_all([job])[0]
 
 
-def _told(job: Job) -> SensorSequence:
+def reconstructed_all(jobs: Sequence[Job]) -> list[Poses]:
+    """Like ``reconstructed``; all jobs are of one system, scenario and noise."""
+    agent, scenario = jobs[0][:2]
+    system, told = loaded(agent, scenario.options), [told_to(job) for job in jobs]
+    bodies = [UserBody.of(job[2]) for job in jobs]
+    if not scenario.online:
+        return system.predict_many(told, bodies)
+    assert isinstance(system, RecurrentPoser)
+    pairs = zip(told, bodies, strict=True)
+    return [system.predict_windows(sequence, body, WINDOW) for sequence, body in pairs]
+
+
+def told_to(job: Job) -> SensorSequence:
     """The device signals, with the scenario's faults and the comparison's noise."""
     _, scenario, motion, seed, noise = job
     sequence = noisy(readings(motion, scenario.devices), noise, seed)
     return faulty(sequence, scenario.faults, seed) if scenario.faults else sequence
-
-
-def streamed_ms(agent: str, scenario: Scenario, motions: Sequence[Motion]) -> float | None:
-    """Milliseconds per frame on one thread over the first frames; None for windows."""
-    if scenario.online:
-        return None
-    seconds, frames = 0.0, 0
-    for i, motion in enumerate(motions):
-        system = _loaded(agent, scenario.options)
-        sequence = _told((agent, scenario, motion, i, None))
-        system.reset(UserBody.of(motion), sequence.names)
-        count = min(len(sequence), TIMED_FRAMES - frames)
-        told = [sequence[t] for t in range(count)]
-        began = time.perf_counter()
-        for frame in told:
-            system.step(frame)
-        seconds, frames = seconds + time.perf_counter() - began, frames + count
-        if frames >= TIMED_FRAMES:
-            break
-    return 1000.0 * seconds / frames
-
-
-def parameters(system: KinematicSystem) -> int:
-    """Number of parameters of a system's networks; 0 without networks."""
-    module = getattr(system, "module", None)
-    return sum(p.numel() for p in module.parameters()) if module is not None else 0
 
 
 # -- with physics ------------------------------------------------------------------------------
@@ -313,11 +329,13 @@ def parameters(system: KinematicSystem) -> int:
 Scored = Iterator[tuple[str, list[Summary]]]
 
 
-def _behind(plan: Plan, jobs: Sequence[Job], threads: int, mapper: Mapper) -> Scored:
+def _behind(
+    plan: Plan, jobs: Sequence[Job], threads: int, mapper: Mapper, poses: Sequence[Poses]
+) -> Scored:
     """A system's poses on the avatar without physics, then with physics from each start."""
-    based = [(base_of(plan.agent) or plan.agent, *job[1:]) for job in jobs]
-    shown = list(mapper(shown_to, based))
-    truths = list(mapper(to_clip, [job[2] for job in jobs]))
+    motions = [job[2] for job in jobs]
+    shown = list(mapper(_shown, list(zip(poses, motions, strict=True))))
+    truths = list(mapper(to_clip, motions))
     ends, rows = plan.scenario.ends, iter(plan.rows)
     without = [
         summarise(avatar_samples(each.clip, truth, ends), FPS)
@@ -332,9 +350,9 @@ def _behind(plan: Plan, jobs: Sequence[Job], threads: int, mapper: Mapper) -> Sc
         yield row, [summarise(samples, FPS) for samples in scored]
 
 
-def shown_to(job: Job) -> Shown:
+def _shown(pair: tuple[Poses, Motion]) -> Shown:
     """What the tracker behind a kinematic system is shown."""
-    return shown_of(reconstructed(job), job[2])
+    return shown_of(*pair)
 
 
 def reference(job: Job) -> Clip:
@@ -351,60 +369,3 @@ def _policy(plan: Plan, jobs: Sequence[Job], threads: int, mapper: Mapper) -> Sc
         begin_at = first_answers(clips) if start == "estimate" else None
         rollouts = roll_out(policy, clips, config, threads, begin_at=begin_at)
         yield row, [summarise(rollout_samples(r, plan.scenario.ends), FPS) for r in rollouts]
-
-
-def plan_costs(plan: Plan, motions: Sequence[Motion]) -> list[Costs]:
-    """Costs of the rows of a plan, in their order; with noise only the sizes."""
-    base = base_of(plan.agent)
-    if plan.agent == RECORDING:
-        return [Costs()]
-    if plan.starts and base is None:
-        whole = Costs(_policy_size(plan.agent))
-        if plan.noise is None:
-            whole = replace(whole, ms=policy_ms(plan.agent, motions))
-        return [whole] * len(plan.rows)
-    system = base or plan.agent
-    alone = Costs(parameters(_loaded(system, plan.scenario.options)))
-    if plan.noise is None:
-        alone = costs(system, plan.scenario, motions)
-    if not plan.starts:
-        return [alone]
-    alone = replace(alone, mmac=None, stream_kib=None)
-    whole = replace(alone, parameters=alone.parameters + _policy_size(TRACKER))
-    if alone.ms is not None:
-        # A frame of the avatar lasts 1/36 s, one of the system 1/60 s.
-        extra = (policy_ms(TRACKER, motions) + retargeted_ms(motions)) * FPS / SENSOR_FPS
-        whole = replace(whole, ms=alone.ms + extra)
-    return [alone, *[whole] * len(plan.starts)]
-
-
-def policy_ms(agent: str, motions: Sequence[Motion]) -> float:
-    """Milliseconds per 36 Hz frame of a policy and its physics: one avatar on one thread."""
-    policy, clip = load_agent(agent), to_clip(max(motions, key=len))
-    sim = evaluation_sim([clip], env_config(policy))
-    try:
-        policy.bind(sim)
-        sim.reset()
-        policy.reset(1)
-        count = min(len(clip) - 2, TIMED_FRAMES)
-        began = time.perf_counter()
-        for _ in range(count):
-            sim.step(policy.act(sim.observation))
-        return 1000.0 * (time.perf_counter() - began) / count
-    finally:
-        sim.close()
-
-
-def retargeted_ms(motions: Sequence[Motion]) -> float:
-    """Milliseconds per 36 Hz frame of retargeting poses as they come."""
-    motion = max(motions, key=len)
-    began = time.perf_counter()
-    clip = causal_clip(motion)
-    return 1000.0 * (time.perf_counter() - began) / len(clip)
-
-
-def _policy_size(agent: str) -> int:
-    loaded = load_agent(agent)
-    if not isinstance(loaded, PolicyAgent):
-        return 0
-    return sum(p.numel() for p in loaded.policy.parameters())

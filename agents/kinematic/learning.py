@@ -22,7 +22,7 @@ class Learning:
         share: share of the whole time budget.
         optimiser: ``adam`` or ``adamw``.
         learning_rate: initial learning rate; see ``rate_at``.
-        schedule: ``cosine``, ``step`` or ``plateau``.
+        schedule: ``cosine``, ``step``, ``halving`` or ``plateau``.
         final_rate: factor on the rate at the end of a cosine, or at each step or plateau.
         warm_up: gradient steps over which the rate first rises from 0.
         batch: windows, or single poses, per gradient step.
@@ -57,6 +57,8 @@ class Learning:
 
 STEP_AT = 0.75
 """HMD-Poser's learning rate falls after 300 of 400 epochs."""
+HALVED_EVERY = 60_000
+"""Gradient steps after which AvatarPoser's learning rate is halved, again and again."""
 PATIENCE, GAIN = 5, 1e-4
 """LGSIK-Poser's rate falls after more than ``PATIENCE`` evaluations whose error is not lower by the
 share ``GAIN``."""
@@ -66,8 +68,9 @@ def rate_at(learning: Learning, progress: float, steps: int, errors: Sequence[fl
     """The learning rate of a gradient step.
 
     ``cosine`` falls over the whole budget. ``step`` falls once, at three quarters of it
-    (HMD-Poser). ``plateau`` falls each time that six evaluations in a row are no better than the
-    best one before (LGSIK-Poser: PyTorch's ReduceLROnPlateau with a patience of 5).
+    (HMD-Poser). ``halving`` falls every ``HALVED_EVERY`` steps (AvatarPoser). ``plateau`` falls
+    each time that six evaluations in a row are no better than the best one before (LGSIK-Poser:
+    PyTorch's ReduceLROnPlateau with a patience of 5).
 
     Args:
         learning: settings with the schedule.
@@ -83,11 +86,13 @@ def rate_at(learning: Learning, progress: float, steps: int, errors: Sequence[fl
         factor = learning.final_rate + (1 - learning.final_rate) * share
     elif learning.schedule == "step":
         factor = 1.0 if progress < STEP_AT else learning.final_rate
+    elif learning.schedule == "halving":
+        factor = learning.final_rate ** (steps // HALVED_EVERY)
     elif learning.schedule == "plateau":
         factor = learning.final_rate ** _plateaus(errors)
     else:
         raise InputError(
-            f"there is no schedule {learning.schedule!r}", fix="cosine, step or plateau"
+            f"there is no schedule {learning.schedule!r}", fix="cosine, step, halving or plateau"
         )
     warm = min(1.0, (steps + 1) / max(learning.warm_up, 1))
     return learning.learning_rate * factor * warm

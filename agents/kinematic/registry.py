@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from agents.kinematic.avatarposer.entry import AVATARPOSER
 from agents.kinematic.dragposer.entry import DRAGPOSER
 from agents.kinematic.entry import Entry
 from agents.kinematic.recurrent.entry import HMDPOSER, LGSIK
@@ -9,6 +10,7 @@ from agents.kinematic.sparseposer.entry import SPARSEPOSER
 from questsim.errors import InputError
 
 AGENTS: dict[str, Entry] = {
+    "avatarposer": AVATARPOSER,
     "hmdposer": HMDPOSER,
     "lgsik": LGSIK,
     "sparseposer": SPARSEPOSER,

@@ -9,8 +9,8 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
+from agents.comparison.costs import parameters
 from agents.comparison.report import LABELS, SCHEMA, SCHEMA_VERSION
-from agents.comparison.run import parameters
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.options import TrainSystemArgs
 from agents.kinematic.registry import AGENTS
@@ -177,18 +177,20 @@ def comparison_lines(path: Path, training: Mapping[str, Any]) -> list[str]:
         raise InputError("has no results of this system", path, "run a comparison with it")
     data = report["context"]["data"]
     names = [name for name in SHOWN if name in rows[0]["pooled"]]
+    counts = {row["clips"] for row in rows}
+    counted = f"{min(counts)}" if len(counts) == 1 else f"{min(counts)} or {max(counts)}"
     lines = [
-        f"### {data['motions']}, {data['clips']} clips",
+        f"### {data['motions']}, {counted} clips",
         "",
         "Streamed frame by frame; every frame has the same weight.",
         "",
-        f"| scenario | {' | '.join(LABELS[name] for name in names)} |",
-        "|" + "---|" * (len(names) + 1),
+        f"| scenario | clips | {' | '.join(LABELS[name] for name in names)} |",
+        "|" + "---|" * (len(names) + 2),
     ]
     for row in rows:
         found = [row["pooled"][name] for name in names]
         cells = ["-" if value is None else f"{value:.2f}" for value in found]
         behind = base_of(row["agent"]) is not None and "no physics" not in row["scenario"]
         told = row["scenario"] + (", with physics" if behind else "")
-        lines.append(f"| {told} | {' | '.join(cells)} |")
+        lines.append(f"| {told} | {row['clips']} | {' | '.join(cells)} |")
     return [*lines, ""]

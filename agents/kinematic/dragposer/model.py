@@ -158,6 +158,78 @@ class DragModel:
         d_quat[0] = d_own
         return PosedSkeleton(position, quat, d_position, d_quat)
 
+    def figures(
+        self,
+        unknowns: np.ndarray,
+        turn: np.ndarray,
+        root: np.ndarray,
+        offsets: np.ndarray,
+        slopes: bool = False,
+    ) -> PosedSkeleton:
+        """``figure`` of ``B`` poses: every argument and result has one more axis in front."""
+        count = len(unknowns)
+        local, moved, d_local, d_moved = self._decoded_all(unknowns[:, :LATENT], slopes)
+        half = np.concatenate([np.ones((count, 1)), 0.5 * unknowns[:, TURN]], axis=1)
+        length = np.sqrt((half * half).sum(axis=1, keepdims=True))
+        half /= length
+        before = left_matrix(turn)
+        decoded = (before @ local[:, 0, :, None])[..., 0]
+        own = (left_matrix(decoded) @ half[..., None])[..., 0]
+        matrices, d_matrices = turning(np.concatenate([local, own[:, None], turn[:, None]], axis=1))
+        whole, d_whole, back = matrices[:, -2], d_matrices[:, -2], matrices[:, -1]
+        matrices[:, 0], d_matrices[:, 0] = np.eye(3), 0.0
+        bones = (matrices[:, _PARENTS] @ offsets[..., None])[..., 0]
+        joints = _ANCESTORS @ bones
+        place = root + (back @ moved[..., None])[..., 0] + unknowns[:, MOVE]
+        position = place[:, None] + joints @ whole.swapaxes(1, 2)
+        quat = local @ left_matrix(own).swapaxes(1, 2)
+        quat[:, 0] = own
+        if not slopes:
+            none = np.zeros((count, NUM_JOINTS, 4, 0))
+            return PosedSkeleton(position, quat, none[:, :, :3], none)
+
+        d_own = np.zeros((count, 4, UNKNOWNS))
+        d_own[:, :, :LATENT] = right_matrix(half) @ before @ d_local[:, 0]
+        outer = half[:, :, None] * half[:, None, 1:]
+        d_half = (np.eye(4)[:, 1:] - outer) * (0.5 / length[..., None])
+        d_own[:, :, TURN] = left_matrix(decoded) @ d_half
+        d_bones = (offsets[:, :, None, None] @ d_matrices[:, _PARENTS])[:, :, :, 0]
+        d_bones = d_bones @ d_local[:, _PARENTS]
+        d_joints = _ANCESTORS @ d_bones.reshape(count, NUM_JOINTS, -1)
+        d_joints = d_joints.reshape(count, NUM_JOINTS, 3, LATENT)
+        turned = (joints[:, :, None, None] @ d_whole[:, None])[:, :, :, 0]
+        d_position = turned @ d_own[:, None]
+        d_position[..., :LATENT] += whole[:, None] @ d_joints + (back @ d_moved)[:, None]
+        d_position[:, :, [0, 1, 2], [LATENT, LATENT + 1, LATENT + 2]] += 1.0
+        d_quat = right_matrix(local) @ d_own[:, None]
+        d_quat[..., :LATENT] += left_matrix(own)[:, None] @ d_local
+        d_quat[:, 0] = d_own
+        return PosedSkeleton(position, quat, d_position, d_quat)
+
+    def _decoded_all(
+        self, latent: np.ndarray, slopes: bool
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """``_decoded`` of latents ``(B, 24)``."""
+        count = len(latent)
+        columns = [latent[..., None]]
+        if slopes:
+            columns.append(np.broadcast_to(np.eye(LATENT), (count, LATENT, LATENT)))
+        x = np.concatenate(columns, axis=2)
+        for i, (weight, bias) in enumerate(self._layers):
+            x = torch.matmul(weight, torch.from_numpy(x)).numpy()
+            x[:, :, 0] += bias
+            if i < len(self._layers) - 1:
+                x *= np.where(x[:, :, :1] > 0.0, 1.0, _SLOPE)
+        out = x.reshape(count, NUM_JOINTS + 1, DECODED, -1)
+        raw = out[:, :NUM_JOINTS, :, 0] + self._mean
+        length = np.sqrt((raw * raw).sum(-1, keepdims=True)).clip(1e-12)
+        local = raw / length
+        d_raw = out[:, :NUM_JOINTS, :, 1:]
+        along = local[:, :, None] @ d_raw
+        d_local = (d_raw - local[..., None] * along) / length[..., None]
+        moved = out[:, NUM_JOINTS, :3] * self._step_std
+        return local, moved[..., 0], d_local, moved[..., 1:]
+
     def _decoded(
         self, latent: np.ndarray, slopes: bool
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ from agents.precision import products
 from questsim import differentiable as diff
 from questsim import rotations as rot
 from questsim.errors import InputError
-from questsim.joint_sensors import SENSOR_FPS, SensorSequence, joint_poses, mount
+from questsim.joint_sensors import SENSOR_FPS, SensorSequence, mount
 from questsim.proportions import NUM_BONES, bone_lengths, bone_of_joint, measurements
 from questsim.skeleton import JOINTS, NUM_JOINTS
 
@@ -151,8 +151,13 @@ class RecurrentPoser(KinematicSystem):
             sequence: as in ``predict``, without gaps.
             body: the user's body.
             frames: frames per window.
+
+        Raises:
+            InputError: the sequence has a gap or only one frame, or see ``step``.
         """
         signals = self._all_signals(sequence, body)
+        if signals is None:
+            raise InputError("a sequence has gaps or only one frame", self.name)
         first = DeviceSignals(*(array[:frames] for array in vars(signals).values()))
         # For windows that start with the sequence, the result equals that of the stream.
         parts = [self._next(first)]
@@ -173,25 +178,11 @@ class RecurrentPoser(KinematicSystem):
 
     def predict(self, sequence: SensorSequence, body: UserBody) -> Poses:
         """Like ``KinematicSystem.predict``; all frames at once if the stream has no gap."""
-        gaps = np.diff(sequence.time_s) * SENSOR_FPS
-        if len(sequence) < 2 or abs(gaps - 1.0).max() > 0.5 or not sequence.present.all():
+        signals = self._all_signals(sequence, body)
+        if signals is None:
             return super().predict(sequence, body)
-        poses = self._next(self._all_signals(sequence, body))
+        poses = self._next(signals)
         return poses if poses.finite() else super().predict(sequence, body)
-
-    def _all_signals(self, sequence: SensorSequence, body: UserBody) -> DeviceSignals:
-        """Start a stream and return the signals of all its frames, with the checks of ``step``."""
-        self.reset(body, sequence.names)
-        frames = []
-        for t in range(len(sequence)):
-            frames.append(self._accepted(sequence[t]))
-            self._last = frames[-1]
-        mounted = [mount(name, body.offsets) for name in sequence.names]
-        position, quat = joint_poses(
-            np.stack([f.position for f in frames]), np.stack([f.quat for f in frames]), mounted
-        )
-        acceleration = np.stack([f.acceleration for f in frames])
-        return DeviceSignals(position, quat, acceleration, np.stack([f.present for f in frames]))
 
 
 def _compile() -> None:

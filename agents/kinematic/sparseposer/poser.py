@@ -33,10 +33,13 @@ from agents.kinematic.switches import SWITCH
 from questsim import differentiable as diff
 from questsim import rotations as rot
 from questsim.errors import InputError
+from questsim.joint_sensors import SensorSequence
 from questsim.skeleton import JOINTS, NUM_JOINTS
 
 WINDOW = 64
 MAX_FUTURE = 7
+WINDOWS_AT_ONCE = 32
+"""Windows per batch when a whole sequence is estimated."""
 DEVICES: tuple[str, ...] = (
     "pelvis_tracker", "left_toe_tracker", "right_toe_tracker",
     "headset", "left_controller", "right_controller",
@@ -347,14 +350,19 @@ class SparsePoser(KinematicSystem):
         self._position: Tensor | None = None
         self._quat: Tensor | None = None
 
-    def _remember(self, signals: DeviceSignals) -> tuple[Tensor, Tensor]:
-        """The last 64 frames of the trackers; a shorter history is padded with its first frame."""
-        position, quat = signals.position[0, self._columns], signals.quat[0, self._columns]
+    def _trackers(self, signals: DeviceSignals) -> tuple[Tensor, Tensor]:
+        """Positions ``(T, 6, 3)`` and orientations ``(T, 6, 4)`` of the joints' trackers."""
+        position, quat = signals.position[:, self._columns], signals.quat[:, self._columns]
         feet = [1, 2]
         toes = self._body.offsets[[ENDS[i] for i in feet]]
-        position[feet] += rot.quat_rotate(quat[feet], toes)
-        now = torch.as_tensor(position, dtype=torch.float32)[None]
-        turn = torch.as_tensor(quat, dtype=torch.float32)[None]
+        position[:, feet] += rot.quat_rotate(quat[:, feet], toes)
+        return torch.as_tensor(position, dtype=torch.float32), torch.as_tensor(
+            quat, dtype=torch.float32
+        )
+
+    def _remember(self, signals: DeviceSignals) -> tuple[Tensor, Tensor]:
+        """The last 64 frames of the trackers; a shorter history is padded with its first frame."""
+        now, turn = self._trackers(signals)
         if self._position is None or self._quat is None:
             self._position = now.expand(WINDOW, -1, -1)
             self._quat = turn.expand(WINDOW, -1, -1)
@@ -364,19 +372,45 @@ class SparsePoser(KinematicSystem):
 
     @torch.no_grad()
     def _next(self, signals: DeviceSignals) -> Poses:
-        position, quat = self._remember(signals)
+        return self._estimated(*self._remember(signals))
+
+    def _estimated(self, position: Tensor, quat: Tensor) -> Poses:
+        """The poses of windows ``(B, 64, 6, ...)`` of trackers, one each."""
         at = WINDOW - 1 - self.future_frames
         sparse, ends = self.module.sparse(position, quat)
-        dual = self.module.generate(sparse, self._normal_offsets)[:, at : at + 1]
+        offsets = self._normal_offsets.expand(len(position), -1, -1)
+        dual = self.module.generate(sparse, offsets)[:, at : at + 1]
         if self.learned_ik:
-            dual = self.module.solve(dual, ends[:, at : at + 1], self._normal_offsets)
-        turned = dual[0, 0, :, :4].double().numpy()
-        measured = quat[0, at].double().numpy()
-        turned[0] = [1.0, 0.0, 0.0, 0.0]
+            dual = self.module.solve(dual, ends[:, at : at + 1], offsets)
+        turned = dual[:, 0, :, :4].double().numpy()
+        measured = quat[:, at].double().numpy()
+        turned[:, 0] = [1.0, 0.0, 0.0, 0.0]
+        back = rot.quat_conjugate(measured[:, 0])
         for i in PASSED_ON:
-            turned[TURNED[i]] = rot.quat_multiply(rot.quat_conjugate(measured[0]), measured[i])
-        local = rot.quat_multiply(rot.quat_conjugate(turned[list(PARENTS[0])]), turned)
-        local[0] = measured[0]
+            turned[:, TURNED[i]] = rot.quat_multiply(back, measured[:, i])
+        local = rot.quat_multiply(rot.quat_conjugate(turned[:, list(PARENTS[0])]), turned)
+        local[:, 0] = measured[:, 0]
         local = local / np.linalg.norm(local, axis=-1, keepdims=True)
-        root = position[0, at, 0].double().numpy()
-        return Poses(root[None], local[None], self._body.offsets[None])
+        root = position[:, at, 0].double().numpy()
+        offsets = np.broadcast_to(self._body.offsets, (len(root), NUM_JOINTS, 3))
+        return Poses(root, local, offsets)
+
+    @torch.no_grad()
+    def predict(self, sequence: SensorSequence, body: UserBody) -> Poses:
+        """Like ``KinematicSystem.predict``; many windows at once if the stream has no gap."""
+        signals = self._all_signals(sequence, body)
+        if signals is None:
+            return super().predict(sequence, body)
+        position, quat = self._trackers(signals)
+        before, after = WINDOW - 1 - self.future_frames, self.future_frames
+        position, quat = (
+            torch.cat([x[:1].expand(before, -1, -1), x, x[-1:].expand(after, -1, -1)])
+            for x in (position, quat)
+        )
+        parts = []
+        for begin in range(0, len(sequence), WINDOWS_AT_ONCE):
+            end = min(begin + WINDOWS_AT_ONCE, len(sequence))
+            rows = torch.arange(begin, end)[:, None] + torch.arange(WINDOW)
+            parts.append(self._estimated(position[rows], quat[rows]))
+        poses = Poses.joined(parts)
+        return poses if poses.finite() else super().predict(sequence, body)

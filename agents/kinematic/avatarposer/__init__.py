@@ -1,0 +1,1 @@
+"""AvatarPoser: headset and controllers to a full pose by a transformer over a window."""
