@@ -160,7 +160,7 @@ def _scored(
     names = {key: [motion.name for motion in each] for key, each in clips.items()}
     if not args.finished:
         _compute(plans, clips, names, args, record)
-    scored, measured = [], {}
+    scored, measured = [], {} if args.times else None
     for plan in plans:
         there = [not record.missing([plan.key(row)], names[id(plan)]) for row in plan.rows]
         if not any(there):
@@ -169,7 +169,8 @@ def _scored(
         for row, cost, complete in zip(plan.rows, costs, there, strict=True):
             if complete:
                 found = record.of(plan.key(row), names[id(plan)])
-                scored.append((row_of(plan.agent, row, found, cost), found))
+                told = row_of(plan.agent, row, found, cost, names[id(plan)])
+                scored.append((told, found))
     return scored
 
 

@@ -79,20 +79,23 @@ def parameters(system: KinematicSystem) -> int:
 
 
 def plan_costs(
-    plan: Plan, motions: Sequence[Motion], measured: dict[str, float | None]
+    plan: Plan, motions: Sequence[Motion], measured: dict[str, float | None] | None
 ) -> list[Costs]:
     """Costs of the rows of a plan, in their order; with noise only the sizes.
 
     Args:
         plan: the rows.
         motions: to measure on.
-        measured: times by what was measured, so that rows of one system share one measurement.
+        measured: times by what was measured, so that rows of one system share one measurement;
+            None to measure none.
     """
     base = base_of(plan.agent)
     if plan.agent == RECORDING:
         return [Costs()]
 
     def ms(name: str, measure: Callable[[], float | None]) -> float | None:
+        if measured is None:
+            return None
         if name not in measured:
             measured[name] = measure()
         return measured[name]

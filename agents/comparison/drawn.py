@@ -42,6 +42,10 @@ def _compared(scored: Sequence[Scored]) -> list[Scored]:
     return list(found.values())
 
 
+_LINES = dict(zip(KINDS, ("-", "--", ":"), strict=True))
+"""Line styles by kind of row."""
+
+
 def _label(row: Row) -> str:
     return f"{Path(row.agent).name}, {row.scenario}"
 
@@ -56,7 +60,8 @@ def error_over_time(scored: Sequence[Scored], path: Path) -> None:
                 continue
             sums, counts = np.sum(curves, axis=0)[: CURVE_BINS - 1].T
             with np.errstate(invalid="ignore"):
-                axis.plot(np.arange(len(sums)) * CURVE_BIN_S, sums / counts, label=_label(row))
+                times, style = np.arange(len(sums)) * CURVE_BIN_S, _LINES[kind_of(row)]
+                axis.plot(times, sums / counts, style, label=_label(row))
         axis.set_xlabel("Time since the start of the clip (s)")
         axis.set_ylabel("MPJPE (cm)")
         axis.set_ylim(bottom=0.0)
@@ -75,7 +80,7 @@ def error_distribution(scored: Sequence[Scored], path: Path) -> None:
                     counts[at] += count
             if counts.sum():
                 share = counts.cumsum()[:-1] / counts.sum()
-                axis.plot(edges, 100.0 * share, label=_label(row))
+                axis.plot(edges, 100.0 * share, _LINES[kind_of(row)], label=_label(row))
         axis.set_xlabel("MPJPE of a frame, at most (cm)")
         axis.set_ylabel("Frames (%)")
         axis.set_xlim(0.0, 12.0)
@@ -86,24 +91,32 @@ def error_distribution(scored: Sequence[Scored], path: Path) -> None:
 def skating_and_accuracy(scored: Sequence[Scored], path: Path) -> None:
     """Skating against joint error: one dot for each agent."""
     with figure_file(path, 7.0, 4.8) as figure:
-        axis, seen = figure.subplots(), set()
+        axis, seen, found = figure.subplots(), set(), []
         for row, _ in _compared(scored):
             x, y = row.pooled.get("mpjpe_cm"), row.pooled.get("foot_skate_cm_s")
             if x is None or y is None:
                 continue
             kind = kind_of(row)
             axis.scatter(x, y, color=KINDS[kind], label=None if kind in seen else kind, zorder=3)
-            axis.annotate(
-                _label(row), (x, y), xytext=(5, 3), textcoords="offset points", fontsize=7
-            )
+            found.append((y, x, _label(row)))
             seen.add(kind)
+        # Labels in a column at the right, in the order of their dots, so that none overlap.
+        lowest = -np.inf
+        most = max((y for y, _, _ in found), default=1.0)
+        right = 1.08 * max((x for _, x, _ in found), default=1.0)
+        for y, x, label in sorted(found):
+            lowest = max(y, lowest + 0.045 * most)
+            axis.annotate(
+                label, (x, y), (right, lowest), va="center", fontsize=7, annotation_clip=False,
+                arrowprops={"arrowstyle": "-", "color": "0.8", "linewidth": 0.6},
+            )  # fmt: skip
         axis.set_xlabel("MPJPE (cm)")
         axis.set_ylabel("Foot skate (cm/s)")
         axis.set_xlim(left=0.0)
         axis.set_ylim(bottom=0.0)
-        axis.margins(x=0.25)
+        axis.set_xlim(right=1.45 * right / 1.08)
         if seen:
-            axis.legend(fontsize=8)
+            figure.legend(loc="outside upper right", ncols=len(seen), fontsize=8)
 
 
 def error_by_joint(scored: Sequence[Scored], path: Path) -> None:

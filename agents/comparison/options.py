@@ -47,6 +47,8 @@ class CompareArgs:
     """Also estimate each frame from its last 40 frames alone (LGSIK-Poser's online protocol)."""
     finished: bool = False
     """Compute no more clips: write tables and figures of the rows that are complete in --out."""
+    times: bool = True
+    """Measure the milliseconds per frame; leave them out while other programs use the processor."""
     threads: int = 2
     """Number of parallel processes, and of threads of physics; the figures are the same."""
     workers: int = 0

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.comparison.summary import Summary
+from agents.comparison.summary import CURVE_OF, Summary
 from agents.kinematic.entry import HEADS_ALIGNED, ROOTS_ALIGNED
 from questsim.files import whole_file
 from questsim.statistics import interval
@@ -49,6 +49,7 @@ class Row:
         equal: means of the clips' means; pooled: means over all frames, so long clips weigh more.
         std: standard deviations over all frames.
         clips: number of clips.
+        worst, worst_cm: the clip with the greatest mean joint error (MPJPE), and that error.
         low, high: 95 % bootstrap interval of ``pooled`` over clips; none for fewer than 11 clips.
     """
 
@@ -64,23 +65,34 @@ class Row:
     low: dict[str, float] = field(default_factory=dict)
     high: dict[str, float] = field(default_factory=dict)
     clips: int = 0
+    worst: str = ""
+    worst_cm: float | None = None
 
     def figures(self, weighting: str) -> dict[str, float | None]:
         """The figures under a weighting in ``WEIGHTINGS``."""
         return self.equal if weighting == "equal" else self.pooled
 
 
-def row_of(agent: str, scenario: str, scored: Sequence[Summary], costs: Costs) -> Row:
+def row_of(
+    agent: str,
+    scenario: str,
+    scored: Sequence[Summary],
+    costs: Costs,
+    clips: Sequence[str] | None = None,
+) -> Row:
     """A row with the means of the clips' sums.
 
     Args:
         agent, scenario: names of the agent and of its scenario.
         scored: one per clip; a mean uses only clips that have its figure.
         costs: of a frame.
+        clips: names of the clips, to name the worst.
     """
+    errors = [summary.mean(CURVE_OF) or 0.0 for summary in scored]
+    worst = max(zip(errors, clips or [""], strict=False), default=(0.0, ""))
     row = Row(
         agent, scenario, costs.parameters, {}, {}, costs.ms, costs.mmac, costs.stream_kib,
-        clips=len(scored),
+        clips=len(scored), worst=worst[1], worst_cm=worst[0],
     )  # fmt: skip
     for name in dict.fromkeys(name for summary in scored for name in summary.figures):
         sums = np.array([s.figures[name] for s in scored if name in s.figures])
@@ -168,12 +180,23 @@ def _interval(row: Row, name: str) -> str:
     return f" ({row.low[name]:.2f} to {row.high[name]:.2f})" if name in row.low else ""
 
 
+def worst_clips(rows: Sequence[Row]) -> str:
+    """A Markdown table of the clip with the greatest mean joint error of each row."""
+    lines = ["| agent | scenario | clip | MPJPE (cm) |", "|" + "---|" * 4]
+    for row in rows:
+        if row.worst and row.agent != RECORDING:
+            cells = [row.agent, row.scenario, row.worst, _cell(row.worst_cm)]
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
 def tables(rows: Sequence[Row]) -> str:
     """All tables as Markdown: means over all frames, then the same with clips weighted equally."""
     parts = ["95 % intervals over clips are in brackets, if there are more than ten clips.", ""]
     for title, names in TABLES.items():
         parts += [f"## {title}", "", table(rows, names, ends=True), ""]
     parts += ["## Costs", "", table(rows, COSTS), ""]
+    parts += ["## Worst clips", "", worst_clips(rows), ""]
     parts += ["# Standard deviations over frames, 95 % intervals over clips", ""]
     for title, names in TABLES.items():
         parts += [f"## {title}, with deviations", "", table(rows, names, "spread"), ""]

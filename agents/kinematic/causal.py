@@ -114,8 +114,9 @@ def causal_clip(motion: Motion, at_once: int = EVERY_FRAMES) -> Clip:
             block = _frames(poses, first, min(first + at_once, end))
             share = (np.arange(first, first + len(block)) - begin + 1.0) / EVERY_FRAMES
             qpos.append(retargeter.follow(block, share))
-    about = {"kind": motion.kind, "style": motion.style}
-    return clip_from_qpos(motion.name, np.concatenate(qpos), height, **about)
+    return clip_from_qpos(
+        motion.name, np.concatenate(qpos), height, kind=motion.kind, style=motion.style
+    )
 
 
 def _frames(motion: Motion, first: int, end: int) -> Motion:

@@ -108,8 +108,9 @@ def begun_as(estimate: Clip, truth: Clip) -> Clip:
             carried[3:7] *= -1.0
         qpos[frame] = (1 - share) * carried + share * qpos[frame]
         qpos[frame, 3:7] /= np.linalg.norm(qpos[frame, 3:7])
-    about = {"kind": estimate.kind, "style": estimate.style}
-    return clip_from_qpos(estimate.name, qpos, estimate.height_m, **about)
+    return clip_from_qpos(
+        estimate.name, qpos, estimate.height_m, kind=estimate.kind, style=estimate.style
+    )
 
 
 def performed(rollout: Rollout) -> Clip:

@@ -9,7 +9,7 @@ from torch import nn
 
 from agents.kinematic.dragposer.networks import DragPoserModule, DragPoserSpec
 from agents.kinematic.dragposer.published import PublishedDragPoser
-from agents.kinematic.dragposer.solver import DragPoser
+from agents.kinematic.dragposer.together import ManyDragPoser
 from agents.kinematic.dragposer.training import WEIGHTS, make_task
 from agents.kinematic.entry import ROOTS_ALIGNED, SMOKE, Entry, no_options
 from agents.kinematic.interface import KinematicSystem
@@ -43,7 +43,7 @@ def _system(
         no_options(name, options, (*known, "published"))
         return PublishedDragPoser(module, name, solver="adam", **chosen)
     no_options(name, options, (*known, "published", "solver"))
-    return DragPoser(module, name, **chosen)
+    return ManyDragPoser(module, name, **chosen)
 
 
 DRAGPOSER = Entry(

@@ -29,7 +29,6 @@ from agents.kinematic.dragposer.networks import (
 from agents.kinematic.interface import DeviceSignals, KinematicSystem, Poses, UserBody
 from questsim import rotations as rot
 from questsim.errors import InputError
-from questsim.joint_sensors import SensorSequence
 from questsim.sensors import DEVICES as WORN
 from questsim.skeleton import JOINT_PARENTS, JOINTS
 
@@ -105,7 +104,6 @@ class DragPoser(KinematicSystem):
 
     devices = DEVICES
     interpolates_dropouts = False
-    at_once = 48
     passes_on = True
     """Whether the joints of ``PASSED_ON`` take the measured orientation."""
 
@@ -162,28 +160,6 @@ class DragPoser(KinematicSystem):
         self._coming: tuple[np.ndarray, np.ndarray] | None = None
         self._since = 0
         self._token_root, self._token_turn = self._root, self._turn
-
-    @torch.no_grad()
-    def predict_many(
-        self, sequences: Sequence[SensorSequence], bodies: Sequence[UserBody]
-    ) -> list[Poses]:
-        """Like ``KinematicSystem.predict_many``; all sequences at once where ``together`` can."""
-        from agents.kinematic.dragposer.together import Together, can
-
-        if not can(self, sequences):
-            return super().predict_many(sequences, bodies)
-        signals, rises = [], []
-        for sequence, body in zip(sequences, bodies, strict=True):
-            told = self._all_signals(sequence, body)
-            if told is None:
-                return super().predict_many(sequences, bodies)
-            signals.append(told)
-            rises.append(self._ankle_rise)
-        joints = [each.joint for each in self._mounts]
-        found = Together(self, signals, bodies, joints, rises).run()
-        if all(poses.finite() for poses in found):
-            return found
-        return super().predict_many(sequences, bodies)
 
     # -- a frame ---------------------------------------------------------------------------
 

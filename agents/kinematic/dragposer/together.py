@@ -173,7 +173,7 @@ def newton(model: DragModel, unknowns: np.ndarray, goals: Goals, iterations: int
 
 def can(system: DragPoser, sequences: Sequence[SensorSequence]) -> bool:
     """Whether the sequences can be solved together by this system."""
-    plain = type(system) is DragPoser and system.solver == "newton" and not system.constraints
+    plain = system.solver == "newton" and not system.constraints
     names = {sequence.names for sequence in sequences}
     return plain and len(names) == 1 and all(s.present.any(axis=1).all() for s in sequences)
 
@@ -355,3 +355,29 @@ class Together:
             answers = module.predictor(past, 1)[:, 0] * std[:LATENT] + mean[:LATENT]
             for row, answer in zip(asking, answers, strict=True):
                 self.coming[row] = (self.latent[row].copy(), answer.numpy())
+
+
+class ManyDragPoser(DragPoser):
+    """``DragPoser`` whose ``predict_many`` solves all sequences together."""
+
+    at_once = 48
+
+    @torch.no_grad()
+    def predict_many(
+        self, sequences: Sequence[SensorSequence], bodies: Sequence[UserBody]
+    ) -> list[Poses]:
+        """Like ``KinematicSystem.predict_many``; all sequences at once if ``can`` is true."""
+        if not can(self, sequences):
+            return super().predict_many(sequences, bodies)
+        signals, rises = [], []
+        for sequence, body in zip(sequences, bodies, strict=True):
+            told = self._all_signals(sequence, body)
+            if told is None:
+                return super().predict_many(sequences, bodies)
+            signals.append(told)
+            rises.append(self._ankle_rise)
+        joints = [each.joint for each in self._mounts]
+        found = Together(self, signals, bodies, joints, rises).run()
+        if all(poses.finite() for poses in found):
+            return found
+        return super().predict_many(sequences, bodies)
