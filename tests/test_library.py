@@ -125,6 +125,17 @@ def test_pickled_objects_are_never_loaded(saved):
         load_library(changed(saved, motion_name=np.array([{"a": 1}, None], dtype=object)))
 
 
+@pytest.mark.parametrize("key", ["clip_qpos", "motion_root", "motion_offsets"])
+def test_numbers_too_large_for_any_motion_are_refused(key, saved):
+    with np.load(saved) as archive:
+        arrays = dict(archive)
+    large = arrays[key].astype(float)
+    large.reshape(-1)[0] = 1e300
+    np.savez(saved, **(arrays | {key: large}))
+    with pytest.raises(InputError, match=rf"{key}.* is not finite or above 1e\+06"):
+        load_library(saved)
+
+
 @pytest.mark.parametrize("key", ["format", "motion_name", "clip_kind"])
 def test_damaged_characters_are_refused(key, saved):
     with np.load(saved) as archive:

@@ -20,6 +20,7 @@ from questsim.files import whole_file
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.motion import Motion
 from questsim.motion.npz import open_npz
+from questsim.motion.recording import MAX_LENGTH
 from questsim.skeleton import DOFS, JOINT_PARENTS, JOINTS, LINKS, NUM_DOFS, NUM_JOINTS, NUM_LINKS
 
 FORMAT, VERSION = "questsim-library", 1
@@ -175,9 +176,11 @@ def _parts(archive: Any, path: Path, kind: str, arrays: dict[str, tuple[int, ...
         array = _array(archive, path, f"{kind}_{key}", "f", row)
         if len(array) != edges[-1]:
             raise InputError(f"{kind}_{key} has {len(array)} frames, not {edges[-1]}", path, AGAIN)
-        if not np.isfinite(array).all():
-            entry = int(np.searchsorted(edges, np.argwhere(~np.isfinite(array))[0][0], "right"))
-            raise InputError(f"{kind}_{key} of {out['name'][entry - 1]} is not finite", path, AGAIN)
+        bad = ~(abs(array) <= MAX_LENGTH)
+        if bad.any():
+            entry = int(np.searchsorted(edges, np.argwhere(bad)[0][0], "right"))
+            what = f"is not finite or above {MAX_LENGTH:g}"
+            raise InputError(f"{kind}_{key} of {out['name'][entry - 1]} {what}", path, AGAIN)
         out[key] = [array[a:b] for a, b in pairwise(edges)]
     return out
 
@@ -197,6 +200,9 @@ def _load_motions(archive: Any, path: Path, names: Container[str] | None) -> lis
     offsets = _array(archive, path, "motion_offsets", "f", (NUM_JOINTS, 3))
     if len(fps) != len(parts["name"]) or len(offsets) != len(fps):
         raise InputError("motion_fps or motion_offsets do not fit motion_frames", path, AGAIN)
+    for key, array in (("fps", fps), ("offsets", offsets)):
+        if not (abs(array) <= MAX_LENGTH).all():
+            raise InputError(f"motion_{key} is not finite or above {MAX_LENGTH:g}", path, AGAIN)
     return [
         Motion(
             name=name,
