@@ -142,7 +142,8 @@ def test_damaged_characters_are_refused(key, saved):
         arrays = dict(archive)
     text = np.array(arrays[key]).reshape(-1).astype("U40")
     text.view(np.uint32)[3] |= 1 << 27
-    np.savez(saved, **(arrays | {key: text.reshape(np.shape(arrays[key]))}))
+    arrays[key] = text.reshape(np.shape(arrays[key]))
+    np.savez(saved, **arrays)
     with pytest.raises(InputError, match=f"{key} holds damaged text"):
         load_library(saved)
 
