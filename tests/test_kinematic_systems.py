@@ -13,6 +13,7 @@ from agents.kinematic.dragposer.model import DragModel
 from agents.kinematic.dragposer.networks import PAST, DragPoserModule, joints_from_root
 from agents.kinematic.dragposer.published import PublishedDragPoser
 from agents.kinematic.dragposer.solver import LOST_FRAMES, DragPoser
+from agents.kinematic.dragposer.together import ManyDragPoser
 from agents.kinematic.ik import InverseKinematics
 from agents.kinematic.interface import Poses, UserBody, device_names
 from agents.kinematic.recurrent.features import DEVICES, features
@@ -366,7 +367,7 @@ def test_dragposer_as_published_moves_the_latent_alone_and_its_root_to_the_hips_
     # The published solver also runs on the weights of the improved system.
     improved = entry.build(entry.presets["smoke"].spec)
     both = [entry.system(improved, "drag", [], o) for o in ({}, {"published": True})]
-    assert [type(system) for system in both] == [DragPoser, PublishedDragPoser]
+    assert [type(system) for system in both] == [ManyDragPoser, PublishedDragPoser]
     with pytest.raises(InputError, match="no option 'solver'"):
         entry.system(improved, "drag", [], {"published": True, "solver": "newton"})
 
