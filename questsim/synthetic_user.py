@@ -152,7 +152,10 @@ def placed(clip: Clip, heading_rad: float, spot: np.ndarray) -> Clip:
     qpos[:, :3] = rot.quat_rotate(turn, qpos[:, :3])
     qpos[:, :2] += spot - start[:2]
     about = {"kind": clip.kind, "style": clip.style, "source": clip.source}
-    return replace(clip_from_qpos(clip.name, qpos, clip.height_m, **about), licence=clip.licence)
+    return replace(
+        clip_from_qpos(clip.name, qpos, clip.height_m, clip.proportions, **about),
+        licence=clip.licence,
+    )
 
 
 def _calibration(user: SyntheticUser, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
@@ -213,7 +216,10 @@ def _middle(clip: Clip) -> Clip:
     """The frames of a clip at full speed."""
     qpos = clip.qpos[EASED_FRAMES : len(clip) - EASED_FRAMES]
     about = {"kind": clip.kind, "style": clip.style, "source": clip.source}
-    return replace(clip_from_qpos(clip.name, qpos, clip.height_m, **about), licence=clip.licence)
+    return replace(
+        clip_from_qpos(clip.name, qpos, clip.height_m, clip.proportions, **about),
+        licence=clip.licence,
+    )
 
 
 def _glide(

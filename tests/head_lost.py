@@ -34,6 +34,7 @@ def main(folder: Path) -> None:
         while training.poll() is None and not list(out.glob("teacher/last/policy.yaml")):
             time.sleep(0.2)
         time.sleep(1.0)
+        assert cluster.head_node is not None
         cluster.head_node.kill_gcs_server()
         cluster.head_node.kill_raylet()
         print("exit", training.wait(timeout=300), flush=True)

@@ -15,7 +15,7 @@ def still_clip(frames: int = 8, height_m: float = 1.75, **about: str) -> Clip:
     """A person who stands still with both soles on the floor."""
     qpos = np.zeros((frames, 7 + NUM_DOFS))
     qpos[:, 2], qpos[:, 3] = 0.9275 * height_m / 1.75, 1.0
-    return clip_from_qpos(about.pop("name", "still"), qpos, height_m, **about)
+    return clip_from_qpos(about.pop("name", "still"), qpos, height_m, None, **about)
 
 
 def moving_clip(frames: int = 20, seed: int = 0, **about: str) -> Clip:
@@ -25,7 +25,7 @@ def moving_clip(frames: int = 20, seed: int = 0, **about: str) -> Clip:
     qpos = rng.uniform(0.1, 0.4, 7 + NUM_DOFS) * np.sin(2 * np.pi * phase)
     qpos[:, 2] += 1.0
     qpos[:, 3:7] = Rotation.from_rotvec(qpos[:, 3:6]).as_quat(scalar_first=True)
-    return clip_from_qpos(about.pop("name", f"moving-{seed}"), qpos, 1.75, **about)
+    return clip_from_qpos(about.pop("name", f"moving-{seed}"), qpos, 1.75, None, **about)
 
 
 def rollout(

@@ -10,6 +10,7 @@ import pytest
 
 from questsim.motion.spec import load_motions
 from questsim.motion.synthesis import kept, synthetic
+from questsim.motion.synthesis.wish import Wish
 
 
 @pytest.fixture
@@ -20,9 +21,9 @@ def fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]
     made: list[str] = []
     poses = synthetic._poses
 
-    def counted(wish: synthetic._Wish, rng: np.random.Generator) -> np.ndarray:
-        made.append(wish.kind)
-        return poses(wish, rng)
+    def counted(asked: Wish, rng: np.random.Generator) -> np.ndarray:
+        made.append(asked.kind)
+        return poses(asked, rng)
 
     monkeypatch.setattr(synthetic, "_poses", counted)
     yield made
