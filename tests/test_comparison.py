@@ -285,8 +285,8 @@ def test_the_main_tables_have_intervals_where_there_are_more_than_ten_clips():
     lines = table([row, few], ["pos_cm"], ends=True).splitlines()
     low, high = row.low["pos_cm"], row.high["pos_cm"]
     assert low < row.pooled["pos_cm"] < high  # type: ignore[operator]
-    assert lines[2] == f"| a | 6 | {row.pooled['pos_cm']:.2f} ({low:.2f} to {high:.2f}) |"
-    assert lines[3] == f"| b | 6 | {few.pooled['pos_cm']:.2f} |"
+    assert lines[2] == f"| a | 6 | 11 | {row.pooled['pos_cm']:.2f} ({low:.2f} to {high:.2f}) |"
+    assert lines[3] == f"| b | 6 | 10 | {few.pooled['pos_cm']:.2f} |"
 
 
 def test_figures_tell_physics_and_policies_from_poses_and_show_what_is_missing(tmp_path):

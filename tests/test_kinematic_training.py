@@ -274,7 +274,7 @@ def test_the_card_of_a_system_tells_data_licence_command_seed_time_and_figures(s
     command = next(line for line in card.splitlines() if line.startswith("python train.py"))
     assert "--agent sparseposer" in command and "--preset smoke" in command
     row = json.loads((shipped / "scores" / "comparison.json").read_text())["rows"][1]
-    assert f"| 6 | {row['pooled']['mpjre_deg']:.2f} |" in card
+    assert f"| 6 | {row['clips']} | {row['pooled']['mpjre_deg']:.2f} |" in card
     training = load_module(shipped / "weights" / "feet")[1]["training"]
     assert [stage["stage"] for stage in training["stages"]] == ["generator", "ik"]
 

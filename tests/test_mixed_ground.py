@@ -193,7 +193,7 @@ def test_teacher_and_student_learn_on_mixed_ground_under_pushes(
 def test_a_policy_learnt_on_tiles_is_saved_and_evaluated_there(
     env, clips, tmp_path, monkeypatch
 ) -> None:
-    monkeypatch.setattr("questsim.motion.spec.load_motions", lambda motions, seed: clips)
+    monkeypatch.setattr("questsim.motion.spec.load_motions", lambda motions, **_: clips)
     out = tmp_path / "run"
     assert run(train, TrainArgs, [*f"--preset smoke --env {env} --out {out}".split(), *FEW]) == 0
     assert yaml.safe_load((out / "run.yaml").read_text())["args"]["env"] == env

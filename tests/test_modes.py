@@ -68,7 +68,7 @@ def test_the_command_that_ignored_five_options_refuses_the_first(capsys):
 
 def test_an_unknown_agent_to_train_is_refused_with_what_there_is(capsys):
     assert run_modes(TRAIN, ["--agent", "nobody", "--out", "nowhere"]) == 2
-    assert "policy, hmdposer" in capsys.readouterr().err
+    assert "use one of policy, avatarposer, hmdposer" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("written", [["--agent", "lgsik"], ["--agent=lgsik"]])
