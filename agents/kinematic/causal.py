@@ -8,14 +8,11 @@ import numpy as np
 
 from questsim.motion.checks import stature
 from questsim.motion.clip import FPS, Clip
-from questsim.motion.footing import ANKLES, leg_targets, measure_footing
-from questsim.motion.kinematics import clip_from_qpos, sole_positions
-from questsim.motion.limbs import SIDES, fill_arm, fill_trunk, hips_of, leg_m
+from questsim.motion.footing import leg_targets, measure_footing
+from questsim.motion.kinematics import clip_from_qpos
 from questsim.motion.motion import Motion
 from questsim.motion.retarget_stream import StreamRetargeter
-from questsim.motion.stance import lowest_point
 from questsim.motion.stance_stream import StancePlanter
-from questsim.skeleton import NUM_DOFS
 
 EVERY_FRAMES = 18
 """Frames at 36 Hz between two estimates of the footing, and over which the new one takes effect."""
@@ -52,27 +49,7 @@ class RunningRetargeter(StreamRetargeter):
             share: ``(T,)`` how much of the new footing is in effect at each, from 0 to 1.
         """
         position, quat = poses.forward_kinematics()
-        angles = np.zeros((len(poses), NUM_DOFS))
-        links = fill_trunk(quat, angles)
-        for side in SIDES:
-            fill_arm(side, poses, position, quat, links, self._height, angles)
-        root, ankles = self._targets(poses, position, quat, share)
-        feet, bears = quat[:, ANKLES], np.zeros(ankles.shape[:2])
-        if self._planter is not None:
-            hips = hips_of(root, quat, self._height)
-            ankles, feet, rise, bears = self._planter(hips, ankles, feet, leg_m(self._height))
-            root[:, 2] += rise
-        # As in the base class; a pose that needs no second solution keeps the first one.
-        allowed = np.minimum(lowest_point(ankles, feet, self._height), 0.0)
-        qpos = self._with_legs(root, quat, ankles, feet, angles)
-        wanted = sole_positions(ankles, feet, self._height).mean(axis=-2)
-        soles = sole_positions(*self._feet(qpos), self._height)
-        lowest = soles[..., 2].min(axis=-1)
-        ankles[..., 2] += np.maximum(allowed - lowest, 0.0)
-        ankles[..., :2] += bears[..., None] * (wanted - soles.mean(axis=-2))[..., :2]
-        again = (lowest < allowed).any(axis=1) | bears.any(axis=1)
-        second = self._with_legs(root, quat, ankles, feet, angles)
-        return np.where(again[:, None], second, qpos)
+        return self._followed(poses, position, quat, *self._targets(poses, position, quat, share))
 
     def _targets(
         self, poses: Motion, position: np.ndarray, quat: np.ndarray, share: np.ndarray

@@ -48,30 +48,42 @@ class StreamRetargeter:
     def __call__(self, poses: Motion) -> np.ndarray:
         """The avatar's ``qpos`` ``(T, 40)`` of the next poses ``(T)`` at 36 Hz, floor at z = 0."""
         position, quat = poses.forward_kinematics()
+        root, ankles = leg_targets(poses, position, quat, self._height, self._footing.rise_m)
+        floor = np.array([0.0, 0.0, self._footing.floor_m])
+        return self._followed(poses, position, quat, root - floor, ankles - floor)
+
+    def _followed(
+        self,
+        poses: Motion,
+        position: np.ndarray,
+        quat: np.ndarray,
+        root: np.ndarray,
+        ankles: np.ndarray,
+    ) -> np.ndarray:
+        """The avatar's ``qpos`` ``(T, 40)`` for the targets of root and ankles over the floor."""
         angles = np.zeros((len(poses), NUM_DOFS))
         links = fill_trunk(quat, angles)
         for side in SIDES:
             fill_arm(side, poses, position, quat, links, self._height, angles)
-        root, ankles = leg_targets(poses, position, quat, self._height, self._footing.rise_m)
-        root[:, 2] -= self._footing.floor_m
-        ankles[..., 2] -= self._footing.floor_m
         feet, bears = quat[:, ANKLES], np.zeros(ankles.shape[:2])
         if self._planter is not None:
             hips = hips_of(root, quat, self._height)
             ankles, feet, rise, bears = self._planter(hips, ankles, feet, leg_m(self._height))
             root[:, 2] += rise
         # The ankle's missing degrees of freedom may push a sole below its target, into the floor,
-        # or make a planted one skate.
+        # or make a planted one skate. A pose without either keeps its first solution.
         allowed = np.minimum(lowest_point(ankles, feet, self._height), 0.0)
         qpos = self._with_legs(root, quat, ankles, feet, angles)
         wanted = sole_positions(ankles, feet, self._height).mean(axis=-2)
         soles = sole_positions(*self._feet(qpos), self._height)
         lowest = soles[..., 2].min(axis=-1)
-        if (lowest < allowed).any() or bears.any():
-            ankles[..., 2] += np.maximum(allowed - lowest, 0.0)
-            ankles[..., :2] += bears[..., None] * (wanted - soles.mean(axis=-2))[..., :2]
-            qpos = self._with_legs(root, quat, ankles, feet, angles)
-        return qpos
+        again = (lowest < allowed).any(axis=1) | bears.any(axis=1)
+        if not again.any():
+            return qpos
+        ankles[..., 2] += np.maximum(allowed - lowest, 0.0)
+        ankles[..., :2] += bears[..., None] * (wanted - soles.mean(axis=-2))[..., :2]
+        second = self._with_legs(root, quat, ankles, feet, angles)
+        return np.where(again[:, None], second, qpos)
 
     def _feet(self, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions ``(T, 2, 3)`` and orientations ``(T, 2, 4)`` of the avatar's feet."""
