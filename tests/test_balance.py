@@ -11,7 +11,7 @@ import torch
 
 from agents.agent import Needs
 from agents.evaluation.follow import evaluation_sim, follow
-from agents.policy.balance import FIRST_KD, FIRST_KP, FLIGHT, LEAST_KD, LEAST_KP, Balance
+from agents.policy.balance import FLIGHT, STANDING, Balance
 from agents.policy.networks import TorquePolicy
 from agents.policy.policy_agent import PolicyAgent, new_policy
 from agents.policy.spec import SPARSE_BLOCKS, TRACKER_BLOCKS, Layout, PolicySpec, initial_gains
@@ -48,7 +48,7 @@ def teacher(balance: str) -> TorquePolicy:
 
 
 def balance_of(sim: BatchSim, reference: bool) -> Balance:
-    return Balance(Layout.of(sim.layout), reference)
+    return Balance(Layout.of(sim.layout), "reference" if reference else "feet")
 
 
 @pytest.fixture(scope="module")
@@ -116,16 +116,16 @@ def test_errors_are_those_of_the_whole_bodys_centre_of_mass(walking):
 
 
 def test_trained_gains_stay_above_their_least_values():
-    balance = Balance(Layout.of(observation_layout(PRIVILEGED)), True)
+    balance = Balance(Layout.of(observation_layout(PRIVILEGED)), "reference")
     kp, kd, limit = balance.gains()
-    assert kp[0].item() == pytest.approx(FIRST_KP)
-    assert kd[0].item() == pytest.approx(FIRST_KD)
+    assert kp[0].item() == pytest.approx(STANDING.kp[0])
+    assert kd[0].item() == pytest.approx(STANDING.kd[0])
     with torch.no_grad():
         for parameter in balance.parameters():
             parameter.fill_(-50.0)
     kp, kd, limit = balance.gains()
-    assert kp[0].item() == pytest.approx(LEAST_KP)
-    assert kd[1].item() == pytest.approx(LEAST_KD)
+    assert kp[0].item() == pytest.approx(STANDING.least_kp[0])
+    assert kd[1].item() == pytest.approx(STANDING.least_kd[1])
     assert limit.item() > 0.5
 
 

@@ -14,29 +14,49 @@ orientations of the links.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from agents.policy.spec import Layout
+from agents.policy.stepping import CAPTURE_RATE, LEG_DOFS, Stepping
 from questsim.body import DEFAULT_HEIGHT_M, POLICY_TIMESTEP_S, build_body
 from questsim.skeleton import DOFS, FOOT_LINKS, LINKS, NUM_DOFS, NUM_LINKS
 
-LEG_DOFS = 12
-"""Number of leg hinges, which are the first of ``DOFS``."""
 PUSHES = 3
 """An acceleration: forwards, left and up."""
 SIZE = PUSHES * (LEG_DOFS + 2)
 """Size of the terms of one observation: basis, position error and velocity error."""
 
-LEAST_KP, LEAST_KD, LEAST_LIMIT = 10.0, 3.0, 0.75
-"""Lower bounds of the trained values (1/s^2, 1/s, m/s^2), so that training on narrow data keeps
-balance."""
-FIRST_KP, FIRST_KD, FIRST_LIMIT = 20.0, 5.0, 1.25
-"""Start values. The acceleration is bounded because soles are short: g / h times 10 cm from ankle
-to centre of pressure is 1 m/s^2; a torque for more rolls the foot over."""
-VERTICAL = 0.5
-"""Vertical gains, as a share of the others."""
+
+class Gains(NamedTuple):
+    """Gains of the centre of mass, forwards, left and up, and the limit of the acceleration.
+
+    The trained values stay above the least ones, so that training on narrow data keeps balance. The
+    acceleration is bounded because soles are short: g / h times 10 cm from ankle to centre of
+    pressure is 1 m/s^2; a torque for more rolls the foot over.
+
+    Attributes:
+        kp, least_kp: start values and lower bounds in 1/s^2.
+        kd, least_kd: the same in 1/s.
+        limit, least_limit: of the horizontal acceleration in m/s^2.
+    """
+
+    kp: tuple[float, float, float]
+    kd: tuple[float, float, float]
+    limit: float
+    least_kp: tuple[float, float, float]
+    least_kd: tuple[float, float, float]
+    least_limit: float
+
+
+STANDING = Gains(
+    (20.0, 20.0, 10.0), (5.0, 5.0, 2.5), 1.25, (10.0, 10.0, 5.0), (3.0, 3.0, 1.5), 0.75
+)
+STEPPING = Gains((10.0, 5.2, 17.0), (7.1, 10.6, 15.0), 0.85, (5.0, 2.5, 8.0), (3.0, 3.0, 5.0), 0.4)
+"""With the laws of ``stepping.py``: less against drifting aside, much more against sinking."""
 FLIGHT = 0.05
 """Feet that carry less than this share of the weight apply little of the correction."""
 
@@ -57,10 +77,10 @@ class Balance(nn.Module):
 
     Args:
         layout: the observation's blocks.
-        reference: whether the target is the reference's centre of mass, from the observation's
-            ``tracking_errors``. Otherwise the target is midway between the feet and moves with
-            them: the average position in both stance and gait. The network then adds the
-            difference to the reference.
+        kind: ``reference``: the target is the reference's centre of mass, from the observation's
+            ``tracking_errors``. ``steps``: so too, with the laws of ``stepping.py``. ``feet``: the
+            target is midway between the feet and moves with them: the average position in both
+            stance and gait. The network then adds the difference to the reference.
     """
 
     columns: Tensor
@@ -71,13 +91,14 @@ class Balance(nn.Module):
     least_kp: Tensor
     least_kd: Tensor
 
-    def __init__(self, layout: Layout, reference: bool) -> None:
+    def __init__(self, layout: Layout, kind: str) -> None:
         super().__init__()
         model = build_body().model
         mass = model.body_mass[1 : 1 + NUM_LINKS]
         limits = model.actuator_ctrlrange[:LEG_DOFS, 1]
-        self.reference = reference
-        vertical = np.array([1.0, 1.0, VERTICAL])
+        self.reference = kind != "feet"
+        self.stepping = Stepping() if kind == "steps" else None
+        first = STEPPING if kind == "steps" else STANDING
 
         def buffer(name: str, value: np.ndarray) -> None:
             tensor = torch.as_tensor(value, dtype=torch.float32)
@@ -87,12 +108,13 @@ class Balance(nn.Module):
         buffer("centre", model.body_ipos[1 : 1 + NUM_LINKS])
         # Masses and torque limits scale alike with height: their ratio is the same for all bodies.
         buffer("strength", mass.sum() / limits)
-        buffer("least_kp", LEAST_KP * vertical)
-        buffer("least_kd", LEAST_KD * vertical)
+        buffer("least_kp", np.array(first.least_kp))
+        buffer("least_kd", np.array(first.least_kd))
         self.weight_n = float(mass.sum() * 9.81)
-        self.log_kp = _logarithm((FIRST_KP - LEAST_KP) * vertical)
-        self.log_kd = _logarithm((FIRST_KD - LEAST_KD) * vertical)
-        self.log_limit = _logarithm(np.array(FIRST_LIMIT - LEAST_LIMIT))
+        self.least_limit = first.least_limit
+        self.log_kp = _logarithm(np.subtract(first.kp, first.least_kp))
+        self.log_kd = _logarithm(np.subtract(first.kd, first.least_kd))
+        self.log_limit = _logarithm(np.array(first.limit - first.least_limit))
         self.register_buffer("columns", None, persistent=False)
         self.register_buffer("errors", None, persistent=False)
         self.use_layout(layout)
@@ -108,9 +130,9 @@ class Balance(nn.Module):
         """Terms ``(n, SIZE)`` of observations ``(n, D)``, in which the torques are linear.
 
         They are the actions of the 12 hinges per unit acceleration in S, ``(12, 3)``, and position
-        and velocity errors of the centre of mass, three numbers each.
+        and velocity errors of the centre of mass, three numbers each. Those of ``Stepping`` follow.
         """
-        state = _State(obs.index_select(1, self.columns))
+        state = State(obs.index_select(1, self.columns))
         offset = self.centre * state.ratio[:, None]
         arm = state.rotated(offset)
         centre = self._mean(state.position + arm)
@@ -122,18 +144,23 @@ class Balance(nn.Module):
             errors = obs.index_select(1, self.errors).unflatten(1, (NUM_LINKS, 4, 3))
             place, speed = self._from_reference(state, errors, offset, arm)
             # The torque acts until the next frame, so the reference is taken midway.
-            place = place + (0.5 * POLICY_TIMESTEP_S) * (speed + velocity)
+            midway = place + (0.5 * POLICY_TIMESTEP_S) * (speed + velocity)
+            if self.stepping is not None:
+                capture = -(place + speed / CAPTURE_RATE)
+                steps = self.stepping.terms(state, errors, capture, self.strength, self.weight_n)
+                return torch.cat([basis.flatten(1), midway, speed, steps], dim=1)
+            place = midway
         return torch.cat([basis.flatten(1), place, speed], dim=1)
 
     def forward(self, terms: Tensor, push: Tensor | None = None) -> Tensor:
         """The balance part of the action ``(n, 33)`` for rows of ``terms``.
 
         Args:
-            terms: ``(n, SIZE)``.
+            terms: of ``terms``.
             push: ``(n, 3)`` additional acceleration in m/s^2, in S.
         """
         basis = terms[:, : LEG_DOFS * PUSHES].unflatten(1, (LEG_DOFS, PUSHES))
-        place, speed = terms[:, LEG_DOFS * PUSHES :].split(PUSHES, dim=1)
+        place, speed = terms[:, LEG_DOFS * PUSHES : SIZE].split(PUSHES, dim=1)
         kp, kd, limit = self.gains()
         wanted = kp * place + kd * speed
         excess = (wanted[:, :2] / limit).square().sum(1, keepdim=True)
@@ -141,18 +168,24 @@ class Balance(nn.Module):
         if push is not None:
             wanted = wanted + push
         legs = (basis * wanted[:, None]).sum(-1)
+        if self.stepping is not None:
+            legs = legs + self.stepping(terms[:, SIZE:])
         return nn.functional.pad(legs, (0, NUM_DOFS - LEG_DOFS))
+
+    def softness(self, terms: Tensor) -> Tensor | None:
+        """Factors ``(n, 33)`` of the springs; None without the laws of stepping."""
+        return None if self.stepping is None else self.stepping.softness(terms[:, SIZE:])
 
     def gains(self) -> tuple[Tensor, Tensor, Tensor]:
         """Kp in 1/s^2 and kd in 1/s, ``(3,)`` each: forwards, left and up; limit in m/s^2."""
-        limit = LEAST_LIMIT + self.log_limit.exp()
+        limit = self.least_limit + self.log_limit.exp()
         return self.least_kp + self.log_kp.exp(), self.least_kd + self.log_kd.exp(), limit
 
     def _mean(self, of_links: Tensor) -> Tensor:
         """Mass-weighted mean over links: ``(n, 3)`` of ``(n, 16, 3)``."""
         return (of_links * self.mass_share[:, None]).sum(1)
 
-    def _basis(self, state: _State, centre: Tensor) -> Tensor:
+    def _basis(self, state: State, centre: Tensor) -> Tensor:
         """``(n, 12, 3)`` action of each hinge of the legs for an acceleration."""
         axes, anchors = state.hinges()
         # -(axis x (c - anchor)) . F: the hinge torque for which the floor force is F.
@@ -162,7 +195,7 @@ class Balance(nn.Module):
         return lever * (share * self.strength)[:, :, None]
 
     def _from_reference(
-        self, state: _State, errors: Tensor, offset: Tensor, arm: Tensor
+        self, state: State, errors: Tensor, offset: Tensor, arm: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Position and velocity of the centre of mass, reference minus avatar, ``(n, 3)`` each."""
         place, turn, velocity, spin = errors.unbind(2)
@@ -175,7 +208,7 @@ class Balance(nn.Module):
         speed = speed - torch.linalg.cross(state.spin, arm)
         return self._mean(place + moved), self._mean(speed)
 
-    def _from_feet(self, state: _State, centre: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor]:
+    def _from_feet(self, state: State, centre: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor]:
         """The same errors, horizontal, with the midpoint of the feet as target, ``(n, 3)`` each."""
         feet = list(FOOT_LINKS)
         flat = torch.tensor([1.0, 1.0, 0.0])
@@ -189,8 +222,8 @@ def _logarithm(value: np.ndarray) -> nn.Parameter:
     return nn.Parameter(torch.as_tensor(np.log(value), dtype=torch.float32))
 
 
-class _State:
-    """State of ``n`` avatars from ``o_sim`` and ``o_scale``, all in the frame S."""
+class State:
+    """The state of ``n`` avatars from ``o_sim`` and ``o_scale``, all in the frame S."""
 
     def __init__(self, columns: Tensor) -> None:
         angles, _, position, turn, velocity, spin, force, height = columns.split(

@@ -142,9 +142,7 @@ class TorqueHead(nn.Module):
         super().__init__()
         self.log_gain = nn.Parameter(torch.as_tensor(np.log(gains), dtype=torch.float32))
         self.reference = spec.reference_head
-        self.balance = (
-            None if spec.balance == "none" else Balance(layout, spec.balance == "reference")
-        )
+        self.balance = None if spec.balance == "none" else Balance(layout, spec.balance)
         for name in ("joint_columns", "reference_columns", "torque_columns"):
             self.register_buffer(name, None, persistent=False)
         self.use_layout(layout)
@@ -182,6 +180,9 @@ class TorqueHead(nn.Module):
             push: ``(n, 3)`` acceleration that the network adds to the balance's, m/s^2.
         """
         action = self.log_gain.exp() * error
+        softness = None if self.balance is None else self.balance.softness(balance)
+        if softness is not None:
+            action = action * softness
         if torque.shape[1]:
             action = action + torque
         return action if self.balance is None else action + self.balance(balance, push)

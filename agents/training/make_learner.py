@@ -14,6 +14,7 @@ from agents.policy.checkpoint import find_policy, find_teacher, load_critic, loa
 from agents.policy.networks import TorquePolicy
 from agents.policy.policy_agent import PolicyAgent, check_body, new_policy
 from agents.policy.spec import Layout, initial_gains, noise_by_joint
+from agents.policy.stepping import stiffer
 from agents.training.dagger import Dagger, DaggerConfig
 from agents.training.learner import Learner
 from agents.training.ppo import AdaptivePPO
@@ -63,6 +64,12 @@ def _noise(ppo: PPOConfig, env: QuestVecEnv | ActorPool) -> np.ndarray:
     return noise_by_joint(strong, ppo.noise_legs_and_trunk, ppo.noise_arms_and_neck)
 
 
+def _gains(config: StageConfig, env: QuestVecEnv | ActorPool) -> np.ndarray:
+    """Start values of the springs, as action per radian."""
+    gains = initial_gains(env.torque_limits, env.damping)
+    return gains * stiffer() if config.policy.balance == "steps" else gains
+
+
 def make_ppo(
     config: StageConfig, ppo: PPOConfig, env: QuestVecEnv | ActorPool, seed: int, threads: int = 1
 ) -> AdaptivePPO:
@@ -89,7 +96,7 @@ def make_ppo(
         policy_kwargs={
             "spec": config.policy,
             "layout": Layout.of(env.layout),
-            "gains": initial_gains(env.torque_limits, env.damping),
+            "gains": _gains(config, env),
             "noise": noise,
             "learn_noise": ppo.learn_noise,
             "critic_learning_rate": ppo.critic_learning_rate,
@@ -119,7 +126,10 @@ def _student(
         copy_actor(_starting_policy(args.start, env), student, args.start)
     elif student.head is not None and teacher.policy.head is not None:
         # The student starts from the stiffness that the teacher learnt.
-        student.head.load_state_dict(teacher.policy.head.state_dict(), strict=False)
+        learnt = teacher.policy.head.state_dict()
+        if teacher.policy.spec.balance == "steps":  # other laws, other bounds of the gains
+            learnt = {"log_gain": learnt["log_gain"]}
+        student.head.load_state_dict(learnt, strict=False)
     student.log_std.data.copy_(teacher.policy.log_std.data)
     return Dagger(
         env, teacher, student, learning, seed, args.threads, _specialists(args, teacher, env)

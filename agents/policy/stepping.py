@@ -1,0 +1,138 @@
+"""Stepping terms of the torque head: where the swing foot lands, and an upright pelvis.
+
+With them a policy that has learnt nothing follows slow steps in all directions. Three laws:
+
+- Foot placement. A foot in swing is pulled to its reference position, moved by ``ahead`` times the
+  error of the capture point c + v / w, w = sqrt(g / h), so that the next stance is under the centre
+  of mass again (capture point: Pratt et al. 2006; placement by position and velocity of the centre
+  of mass: Raibert 1986, Yin et al. 2007).
+- Pelvis. The hips of the standing legs turn the pelvis towards its reference orientation.
+- A foot in swing is softer: its springs would stop the body when it lands early.
+
+A foot is in swing while it carries less than ``SWING`` of the weight. Forces are per kilogram of
+the body, so that they hold for all statures. The start values were found by a search over the 20
+numbers of the head on training clips (docs/training.md).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from questsim.skeleton import DOFS, FOOT_LINKS, NUM_DOFS
+
+if TYPE_CHECKING:
+    from agents.policy.balance import State
+
+LEG_DOFS = 12
+SWING = 0.15
+"""A foot that carries less than this share of the weight is in swing."""
+CAPTURE_RATE = 3.3
+"""w of the capture point in 1/s: sqrt(g / h) of a centre of mass 0.9 m above the floor."""
+LARGEST_ERROR_M = 0.25
+"""The capture point's error counts at most this much."""
+
+SIZE = 4 * LEG_DOFS + 2
+"""Terms of one observation: actions of the 12 hinges for four laws of unit strength, and the share
+of swing of both feet."""
+
+FIRST = {"ahead": 1.5, "place": 8.9, "damp": 0.9, "pelvis": 3.7}
+"""Start values: share of the capture point's error; 1/s^2; 1/s; and m^2/s^2 per radian."""
+LEAST = 0.3
+"""Trained values stay above this share of the start values."""
+
+_HINGES = ("hip_y", "hip_x", "hip_z", "knee_y", "ankle_y", "ankle_x")
+SOFTER = dict(zip(_HINGES, (0.9, 0.9, 0.9, 1.5, 1.35, 1.35), strict=True))
+"""A spring of a leg in swing is weaker by the factor exp(-value)."""
+STIFFER = dict(zip(_HINGES, (0.85, 2.0, 1.2, 1.1, 1.75, 1.2), strict=True))
+"""Factors of the springs' start values, see ``initial_gains``."""
+HIPS = torch.tensor([1.0, 1.0, 1.0, 0.0, 0.0, 0.0] * 2)
+
+
+def stiffer() -> np.ndarray:
+    """``STIFFER`` of all hinges, ``(33,)``."""
+    return np.array([*_by_hinge(STIFFER), *[1.0] * (NUM_DOFS - LEG_DOFS)])
+
+
+def _by_hinge(values: dict[str, float]) -> list[float]:
+    """Values of the 12 hinges of both legs."""
+    return [values[name.split("_", 1)[1]] for name in DOFS[:LEG_DOFS]]
+
+
+class Stepping(nn.Module):
+    """Torques of the legs that place the swing foot and turn the pelvis."""
+
+    log_ahead: nn.Parameter
+    log_place: nn.Parameter
+    log_damp: nn.Parameter
+    log_pelvis: nn.Parameter
+
+    def __init__(self) -> None:
+        super().__init__()
+        for name, value in FIRST.items():
+            first = torch.tensor(np.log(value * (1.0 - LEAST)), dtype=torch.float32)
+            self.register_parameter(f"log_{name}", nn.Parameter(first))
+        self.softer = nn.Parameter(torch.tensor(_by_hinge(SOFTER), dtype=torch.float32))
+
+    def strengths(self) -> dict[str, Tensor]:
+        """The trained strengths of the laws, by the names of ``FIRST``."""
+        return {
+            name: LEAST * value + getattr(self, f"log_{name}").exp()
+            for name, value in FIRST.items()
+        }
+
+    def terms(
+        self,
+        state: State,
+        errors: Tensor,
+        capture: Tensor,
+        strength: Tensor,
+        weight_n: float,
+    ) -> Tensor:
+        """Terms ``(n, SIZE)``, in which the action is linear.
+
+        Args:
+            state: of ``n`` avatars.
+            errors: ``(n, 16, 4, 3)`` the observation's tracking errors.
+            capture: ``(n, 3)`` capture point, avatar minus reference, in m.
+            strength: ``(12,)`` mass over torque limit of each hinge, kg / (N m).
+            weight_n: of the 1.75 m body, whose contact forces the observation has.
+        """
+        feet = list(FOOT_LINKS)
+        swing = (1.0 - state.load / (SWING * weight_n)).clamp(0.0, 1.0)
+        flat = torch.tensor([1.0, 1.0, 0.0])
+        length = capture.mul(flat).square().sum(1, keepdim=True).sqrt().clamp_min(1e-9)
+        aside = capture * flat * (length.clamp_max(LARGEST_ERROR_M) / length)
+        forces = torch.stack(
+            [
+                aside[:, None].expand(-1, 2, -1),
+                errors[:, feet, 0] * flat,
+                errors[:, feet, 2] * flat,
+            ],
+            dim=1,
+        )  # (n, law, foot, 3)
+        axes, anchors = state.hinges()
+        foot = state.position[:, feet].repeat_interleave(LEG_DOFS // 2, dim=1)
+        lever = torch.linalg.cross(axes, foot - anchors) * strength[:, None]
+        on_foot = (forces * swing[:, None, :, None]).repeat_interleave(LEG_DOFS // 2, dim=2)
+        placed = (lever[:, None] * on_foot).sum(-1)
+        load = state.load / (state.load.sum(1, keepdim=True) + SWING * weight_n)
+        share = load.repeat_interleave(LEG_DOFS // 2, dim=1) * HIPS
+        turned = -(axes * errors[:, 0, 1][:, None]).sum(-1) * share * strength
+        return torch.cat([placed.flatten(1), turned, swing], dim=1)
+
+    def forward(self, terms: Tensor) -> Tensor:
+        """Actions ``(n, 12)`` of the hinges of the legs for rows of ``terms``."""
+        ahead, foot, moving, turned, _ = terms.split((*[LEG_DOFS] * 4, 2), dim=1)
+        gain = self.strengths()
+        place = gain["place"] * (gain["ahead"] * ahead + foot) + gain["damp"] * moving
+        return place + gain["pelvis"] * turned
+
+    def softness(self, terms: Tensor) -> Tensor:
+        """Factors ``(n, 33)`` of the springs: below 1 for a leg in swing."""
+        swing = terms[:, -2:].repeat_interleave(LEG_DOFS // 2, dim=1)
+        legs = torch.exp(-self.softer.clamp_min(0.0) * swing)
+        return nn.functional.pad(legs, (0, NUM_DOFS - LEG_DOFS), value=1.0)
