@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from agents.policy.spec import Layout
-from agents.policy.stepping import CAPTURE_RATE, LEG_DOFS, Stepping
+from agents.policy.stepping import CAPTURE_RATE, LEG_DOFS, POSITION, Stepping
 from questsim.body import DEFAULT_HEIGHT_M, POLICY_TIMESTEP_S, build_body
 from questsim.skeleton import DOFS, FOOT_LINKS, LINKS, NUM_DOFS, NUM_LINKS
 
@@ -55,7 +55,7 @@ class Gains(NamedTuple):
 STANDING = Gains(
     (20.0, 20.0, 10.0), (5.0, 5.0, 2.5), 1.25, (10.0, 10.0, 5.0), (3.0, 3.0, 1.5), 0.75
 )
-STEPPING = Gains((10.0, 5.2, 17.0), (7.1, 10.6, 15.0), 0.85, (5.0, 2.5, 8.0), (3.0, 3.0, 5.0), 0.4)
+STEPPING = Gains((9.6, 6.2, 16.2), (6.6, 10.0, 14.0), 0.76, (5.0, 2.5, 8.0), (3.0, 3.0, 5.0), 0.4)
 """With the laws of ``stepping.py``: less against drifting aside, much more against sinking."""
 FLIGHT = 0.05
 """Feet that carry less than this share of the weight apply little of the correction."""
@@ -146,7 +146,7 @@ class Balance(nn.Module):
             # The torque acts until the next frame, so the reference is taken midway.
             midway = place + (0.5 * POLICY_TIMESTEP_S) * (speed + velocity)
             if self.stepping is not None:
-                capture = -(place + speed / CAPTURE_RATE)
+                capture = -(POSITION * place + speed / CAPTURE_RATE)
                 steps = self.stepping.terms(state, errors, capture, self.strength, self.weight_n)
                 return torch.cat([basis.flatten(1), midway, speed, steps], dim=1)
             place = midway

@@ -32,6 +32,8 @@ SWING = 0.15
 """A foot that carries less than this share of the weight is in swing."""
 CAPTURE_RATE = 3.3
 """w of the capture point in 1/s: sqrt(g / h) of a centre of mass 0.9 m above the floor."""
+POSITION = 0.6
+"""Share of the position in the capture point's error: steps correct a velocity more than a lag."""
 LARGEST_ERROR_M = 0.25
 """The capture point's error counts at most this much."""
 
@@ -39,22 +41,24 @@ SIZE = 4 * LEG_DOFS + 2
 """Terms of one observation: actions of the 12 hinges for four laws of unit strength, and the share
 of swing of both feet."""
 
-FIRST = {"ahead": 1.5, "place": 8.9, "damp": 0.9, "pelvis": 3.7}
+FIRST = {"ahead": 1.5, "place": 10.5, "damp": 1.1, "pelvis": 4.2}
 """Start values: share of the capture point's error; 1/s^2; 1/s; and m^2/s^2 per radian."""
 LEAST = 0.3
 """Trained values stay above this share of the start values."""
 
 _HINGES = ("hip_y", "hip_x", "hip_z", "knee_y", "ankle_y", "ankle_x")
-SOFTER = dict(zip(_HINGES, (0.9, 0.9, 0.9, 1.5, 1.35, 1.35), strict=True))
+SOFTER = dict(zip(_HINGES, (1.1, 1.1, 1.1, 1.6, 1.4, 1.4), strict=True))
 """A spring of a leg in swing is weaker by the factor exp(-value)."""
-STIFFER = dict(zip(_HINGES, (0.85, 2.0, 1.2, 1.1, 1.75, 1.2), strict=True))
-"""Factors of the springs' start values, see ``initial_gains``."""
+STIFFER = dict(zip(_HINGES, (0.85, 2.0, 1.1, 1.1, 1.6, 1.3), strict=True))
+TRUNK, ARMS = 1.35, 0.5
+"""Factors of the springs' start values, see ``initial_gains``; ``ARMS`` is also of the neck."""
 HIPS = torch.tensor([1.0, 1.0, 1.0, 0.0, 0.0, 0.0] * 2)
 
 
 def stiffer() -> np.ndarray:
     """``STIFFER`` of all hinges, ``(33,)``."""
-    return np.array([*_by_hinge(STIFFER), *[1.0] * (NUM_DOFS - LEG_DOFS)])
+    rest = [TRUNK if dof.startswith(("spine", "chest")) else ARMS for dof in DOFS[LEG_DOFS:]]
+    return np.array([*_by_hinge(STIFFER), *rest])
 
 
 def _by_hinge(values: dict[str, float]) -> list[float]:

@@ -179,8 +179,9 @@ def copy_actor(source: TorquePolicy, target: TorquePolicy, where: Path) -> None:
     """
     state = {k: v for k, v in source.state_dict().items() if not k.startswith("critic.")}
     fresh = ["critic."]
-    if source.spec.balance == "none":  # older policies lack it: its gains keep their start values
+    if source.spec.balance != target.spec.balance:  # its gains keep their start values
         fresh.append("head.balance.")
+        state = {k: v for k, v in state.items() if not k.startswith("head.balance.")}
         _widen(state, target)
     try:
         missing, unexpected = target.load_state_dict(state, strict=False)
