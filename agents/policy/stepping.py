@@ -16,6 +16,7 @@ numbers of the head on training clips (docs/training.md).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,9 +48,9 @@ LEAST = 0.3
 """Trained values stay above this share of the start values."""
 
 _HINGES = ("hip_y", "hip_x", "hip_z", "knee_y", "ankle_y", "ankle_x")
-SOFTER = dict(zip(_HINGES, (1.1, 1.1, 1.1, 1.6, 1.4, 1.4), strict=True))
+SOFTER: dict[str, float] = dict(zip(_HINGES, (1.1, 1.1, 1.1, 1.6, 1.4, 1.4), strict=True))
 """A spring of a leg in swing is weaker by the factor exp(-value)."""
-STIFFER = dict(zip(_HINGES, (0.85, 2.0, 1.1, 1.1, 1.6, 1.3), strict=True))
+STIFFER: dict[str, float] = dict(zip(_HINGES, (0.85, 2.0, 1.1, 1.1, 1.6, 1.3), strict=True))
 TRUNK, ARMS = 1.35, 0.5
 """Factors of the springs' start values, see ``initial_gains``; ``ARMS`` is also of the neck."""
 HIPS = torch.tensor([1.0, 1.0, 1.0, 0.0, 0.0, 0.0] * 2)
@@ -61,7 +62,7 @@ def stiffer() -> np.ndarray:
     return np.array([*_by_hinge(STIFFER), *rest])
 
 
-def _by_hinge(values: dict[str, float]) -> list[float]:
+def _by_hinge(values: Mapping[str, float]) -> list[float]:
     """Values of the 12 hinges of both legs."""
     return [values[name.split("_", 1)[1]] for name in DOFS[:LEG_DOFS]]
 

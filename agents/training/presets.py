@@ -109,7 +109,7 @@ TEACHER = PolicySpec(
     critic_blocks=TRACKER_BLOCKS,
     activation="elu",
     reference_head=True,
-    balance="reference",
+    balance="steps",
 )
 STUDENT = PolicySpec(
     actor_blocks=SPARSE_BLOCKS,
