@@ -3,10 +3,11 @@
     python -m docs.figures.head_search --motions synthetic:side-left+step-back --generations 30
 
 An evolution strategy (separable, after Ros & Hansen 2008) over 22 numbers of a teacher whose
-network outputs nothing: springs of eight groups of joints, three groups of a leg in swing, the gains
-of the centre of mass and the laws of stepping. A candidate's value is its reward per reference frame
-until it falls, over all clips. All candidates of a generation act in one batch of simulations. It prints
-the best mean so far, in the names of ``stepping.py`` and ``balance.py``.
+network outputs nothing: springs of eight groups of joints, three groups of a leg in swing, the
+gains of the centre of mass and the laws of stepping. A candidate's value is its reward per
+reference frame until it falls, over all clips. All candidates of a generation act in one batch of
+simulations. It prints the final mean as factors of the values in ``stepping.py`` and
+``balance.py``.
 """
 
 from __future__ import annotations
