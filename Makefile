@@ -3,7 +3,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 PIP_FLAGS ?=
-PYTEST_FLAGS ?= -n 2 --dist loadfile
+PYTEST_FLAGS ?= -n 2 --dist loadfile --no-loadscope-reorder
+# Measuring what the tests run of the code nearly doubles their time. CI sets COVERAGE= to leave it out.
 COVERAGE ?= --cov=questsim --cov=envs --cov=agents --cov-report=term:skip-covered
 MOTIONS ?= synthetic
 OUT ?= runs/$(shell date +%Y%m%d-%H%M%S)
@@ -12,9 +13,11 @@ INSTALLED := $(VENV)/.installed
 
 # Two test processes with many spinning OpenMP threads each would slow one another tenfold.
 test check wheel: export OMP_NUM_THREADS := 1
+# Where it is set, every process that a test starts would compile all modules again.
+unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install demo live page demo-video demo-scores docs page-picture test check format train \
-	benchmark wheel clean
+.PHONY: help install demo live page demo-video demo-scores docs page-picture test types loops check \
+	format train benchmark wheel clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -29,7 +32,8 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@test -x $(PY) || $(PYTHON) -c 'import ensurepip' 2>/dev/null || \
 		{ echo "python3 cannot make virtual environments: apt-get install python3-venv"; exit 1; }
 	test -x $(PY) || $(PYTHON) -m venv $(VENV)
-	$(PY) -m pip install --quiet $(PIP_FLAGS) -c constraints.txt -e ".[dev]"
+	$(PY) -m pip install --quiet -c constraints.txt pip  # venv brings one that takes twice as long
+	$(PY) -m pip install --quiet --no-compile $(PIP_FLAGS) -c constraints.txt -e ".[dev]"
 	@touch $@
 
 DEMO_MOTIONS ?= synthetic:walk+stand+wave+raise-right-hand+raise-both-hands
@@ -68,8 +72,15 @@ page-picture: $(INSTALLED)  ## photograph the page for the README; DEMO_FLAGS="-
 test: $(INSTALLED)  ## everything CI runs: format, lint, types, tests
 	$(PY) -m ruff format --check .
 	$(PY) -m ruff check .
-	$(PY) -m pyright --pythonpath $(PY)
+	$(MAKE) --no-print-directory --jobs=2 types loops
 	$(PY) -m pytest $(PYTEST_FLAGS) $(COVERAGE)
+
+types: $(INSTALLED)
+	$(PY) -m pyright --pythonpath $(PY)
+
+# Otherwise each test process would compile all loops for itself.
+loops: $(INSTALLED)
+	$(PY) -m tests.compile_loops
 
 check: format test  ## format, then everything CI runs
 

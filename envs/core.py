@@ -5,16 +5,13 @@ Every interface (gymnasium, vector, stable-baselines3, kinematic) is a thin laye
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from functools import partial
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from mujoco import batch as mujoco_batch
 
 from envs import footing, kernels
 from envs.actions import checked_actions
@@ -35,8 +32,9 @@ from envs.kernel_arguments import (
     ground_of,
 )
 from envs.layout import SCAN_POINTS, observation_layout, observation_size
+from envs.physics import Physics
 from envs.placement import moved, turn_quat, turned
-from envs.reference import Reference
+from envs.reference import Reference, check_shown
 from envs.sampler import Sampler
 from envs.starts import Estimates
 from envs.surroundings import Surroundings
@@ -49,27 +47,6 @@ from questsim.reward import COMPILED, Moment, extra_terms
 from questsim.reward import Reference as MomentReference
 
 _CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL.value)
-# Warning counters of states that are not finite or too large; MuJoCo then resets the simulation.
-_UNSTABLE = [
-    int(mujoco.mjtWarning.mjWARN_BADQPOS),
-    int(mujoco.mjtWarning.mjWARN_BADQVEL),
-    int(mujoco.mjtWarning.mjWARN_BADQACC),
-]
-
-
-_LOG = logging.getLogger("questsim.physics")
-
-
-def _log_warning(message: str) -> None:
-    # Unstable simulations are counted and reset here. MuJoCo would also write each to a log file.
-    _LOG.log(logging.INFO if "unstable" in message else logging.WARNING, "%s", message)
-
-
-if mujoco.get_mju_user_warning() is None:
-    mujoco.set_mju_user_warning(_log_warning)
-
-
-_SAME_HEIGHT_M = 0.002
 _NOW = np.zeros(1, np.int64)
 
 # State of a running episode, besides the physics.
@@ -134,10 +111,11 @@ class BatchSim:
         if self.config.fixed_start and n > len(clips):
             raise InputError(f"num_envs is {n}, more than the {len(clips)} clips", "fixed_start")
         clips = on_their_bodies(clips, self.config, n, seed)
+        self.reference = seen = Reference.of(clips, self.config, seed)
         if shown is not None:
             shown = on_their_bodies(shown, self.config, n, seed)
-        self.reference = Reference.of(clips, self.config, seed)
-        seen = self.reference if shown is None else self._reference_shown(clips, shown, seed)
+            check_shown(clips, shown)
+            seen = Reference.of(shown, self.config, seed)
         self.avatar = avatar_of(self.config.body)
         self._sizes = len(self.avatar.dofs), len(self.avatar.links)
         self._positions, self._velocities = 7 + self._sizes[0], 6 + self._sizes[0]
@@ -185,7 +163,6 @@ class BatchSim:
         self._scores = Scores(compiled_terms, self.reward, self.error)
         self.fell, self.ended = np.zeros(n, bool), np.zeros(n, bool)
         self.unstable, self._counted = np.zeros(n, bool), np.zeros(n, bool)
-        self._stopped = np.zeros(n, bool)
         self.unstable_count = 0
 
     def _begin_episodes(self) -> None:
@@ -219,24 +196,6 @@ class BatchSim:
             np.zeros((self.num_envs, observation_size(self.layout)), np.float32),
         )
 
-    def _reference_shown(
-        self, clips: Sequence[Clip], shown: Sequence[Clip], seed: int
-    ) -> Reference:
-        if len(clips) != len(shown):
-            raise InputError(f"shown has {len(shown)} clips, motions have {len(clips)}", "shown")
-        for clip, other in zip(clips, shown, strict=True):
-            if clip.proportions != other.proportions:
-                what = "is shown for a clip of other proportions"
-                raise InputError(what, other.name, "give a clip that was made from that one")
-            if len(clip) != len(other) or abs(clip.height_m - other.height_m) > _SAME_HEIGHT_M:
-                raise InputError(
-                    f"{len(other)} frames of {other.height_m:.3f} m are shown for {len(clip)} of "
-                    f"{clip.height_m:.3f} m",
-                    clip.name,
-                    "give a clip that was made from this one",
-                )
-        return Reference.of(shown, self.config, seed)
-
     def _estimates_of(self, begin_at: Mapping[str, Clip] | None) -> Estimates | None:
         asked = self.config.starts is not None and self.config.starts.estimate > 0.0
         if asked != (begin_at is not None):
@@ -253,10 +212,8 @@ class BatchSim:
     def _build_batch(self, num_threads: int, seed: int) -> None:
         self.body, models = models_of(self.bodies, self.config, self.avatar, seed)
         self.substeps = self.body.substeps
-        self.batch = mujoco_batch.Batch(
-            models[0], self.num_envs, nthread=num_threads, persistent=True
-        )
-        self.batch.set_models(models)
+        self._physics = Physics(models, num_threads)
+        self.batch = self._physics.batch
         self.torque_limits = np.stack([m.actuator_ctrlrange[:, 1] for m in models])
         self._chunks = kernels.chunks(self.num_envs, num_threads)
         self._pool = ThreadPoolExecutor(num_threads) if len(self._chunks) > 1 else None
@@ -352,10 +309,10 @@ class BatchSim:
         self.placement.draw(ids, clips)
         self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE.value))
         self._run(self._target_chunk, [(0, len(ids))], ids)
-        self._stopped[ids], self._counted[ids] = False, False
+        self._physics.stopped[ids], self._counted[ids] = False, False
         self._pose(ids, rows, clips)
         self._around.begin(ids, rows, clips)
-        with self._surviving():
+        with self._physics.surviving():
             self.batch.forward(ids, stage=_CURRENT)
         self.contact_force[ids] = 0.0
         self._previous_force[ids] = 0.0
@@ -395,7 +352,7 @@ class BatchSim:
     def _clearance_in(self, ids: np.ndarray, qpos: np.ndarray) -> np.ndarray:
         """Height ``(m,)`` above the ground of the lowest sole point in poses ``(m, 40)``."""
         self.qpos[ids, : self._positions] = qpos
-        with self._surviving():
+        with self._physics.surviving():
             self.batch.forward(ids, stage=int(mujoco.mjtStage.mjSTAGE_POS.value))
         return self._clearance(ids).min(axis=-1)
 
@@ -422,7 +379,7 @@ class BatchSim:
         np.clip(checked_actions(action, self.ctrl.shape), -1.0, 1.0, out=self.ctrl)
         self.ctrl *= self.torque_limits
         self.pusher.apply()
-        with self._surviving():
+        with self._physics.surviving():
             self.batch.step(nstep=self.substeps, stage=_CURRENT)
         self._after_step()
 
@@ -437,19 +394,9 @@ class BatchSim:
         self.qvel[:, 3:6] = FPS * rot.as_rotation(turn).as_rotvec()
         self.qvel[:, 6 : self._velocities] = FPS * (after[:, 7:] - before[:, 7:])
         self.qpos[:, : self._positions] = after
-        with self._surviving():
+        with self._physics.surviving():
             self.batch.forward(stage=_CURRENT)
         self._after_step(physics=False)
-
-    @contextmanager
-    def _surviving(self) -> Iterator[None]:
-        """Step the physics. A MuJoCo error in one simulation ends the episode of that one only."""
-        try:
-            yield
-        except mujoco_batch.SimulationError as error:
-            # MuJoCo left the failed simulations unchanged and stepped the others.
-            self._stopped[error.ids] = True
-            _LOG.info("%s", error)
 
     def _after_step(self, physics: bool = True) -> None:
         self._previous_force[:] = self.contact_force[..., 2]
@@ -462,8 +409,7 @@ class BatchSim:
         self._run(self._score_chunk, self._chunks)
         if self.reward_terms is not self._scores.terms:
             self._add_extra_terms()
-        self.unstable[:] = (self.batch.warning[:, _UNSTABLE, 1] > 0).any(axis=1)
-        self.unstable |= self._stopped
+        self.unstable[:] = self._physics.unstable()
         self.unstable |= ~np.isfinite(self.error + self.reward)
         # A simulation stays unstable until its reset; count it once per episode.
         self.unstable_count += int((self.unstable & ~self._counted).sum())

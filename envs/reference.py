@@ -17,6 +17,8 @@ from questsim.motion.clip import Clip
 from questsim.motion.inverse_dynamics import reference_torques
 from questsim.sensors import device_poses, sensor_set
 
+_SAME_HEIGHT_M = 0.002
+
 
 @dataclass(frozen=True)
 class Reference:
@@ -86,7 +88,8 @@ class Reference:
         devices = [_devices(clip, config, seed, i) for i, clip in enumerate(common)]
 
         def rows(arrays: Sequence[np.ndarray]) -> np.ndarray:
-            return np.concatenate(arrays).astype(np.float32)
+            # One memory layout, so that the loops are compiled only once.
+            return np.ascontiguousarray(np.concatenate(arrays), np.float32)
 
         return Reference(
             names=tuple(clip.name for clip in clips),
@@ -105,6 +108,27 @@ class Reference:
             dev_position=rows([position for position, _ in devices]),
             dev_quat=rows([quat for _, quat in devices]),
         )
+
+
+def check_shown(clips: Sequence[Clip], shown: Sequence[Clip]) -> None:
+    """Check that each clip can be observed instead of the one at its place in ``clips``.
+
+    Raises:
+        InputError: a clip of another length, stature or proportions, or another number of clips.
+    """
+    if len(clips) != len(shown):
+        raise InputError(f"shown has {len(shown)} clips, motions have {len(clips)}", "shown")
+    for clip, other in zip(clips, shown, strict=True):
+        if clip.proportions != other.proportions:
+            what = "is shown for a clip of other proportions"
+            raise InputError(what, other.name, "give a clip that was made from that one")
+        if len(clip) != len(other) or abs(clip.height_m - other.height_m) > _SAME_HEIGHT_M:
+            raise InputError(
+                f"{len(other)} frames of {other.height_m:.3f} m are shown for {len(clip)} of "
+                f"{clip.height_m:.3f} m",
+                clip.name,
+                "give a clip that was made from this one",
+            )
 
 
 def _torques(avatar: Avatar, clips: Sequence[Clip], config: EnvConfig) -> np.ndarray:

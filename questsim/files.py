@@ -1,4 +1,4 @@
-"""Atomic writing of files and folders, and reading of YAML."""
+"""Atomic writing of files and folders, and reading of YAML and TOML."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import tempfile
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -148,3 +149,23 @@ def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask
+
+
+def read_toml(path: Path, what: str, fix: str | None = None) -> dict[str, Any]:
+    """The table of a TOML file that a user writes.
+
+    Args:
+        path: the file.
+        what: the kind of file, for the message, e.g. ``"mixture file"``.
+        fix: what to do if it cannot be read.
+
+    Raises:
+        InputError: there is no such file, or it is not TOML.
+    """
+    try:
+        with path.open("rb") as file:
+            return tomllib.load(file)
+    except FileNotFoundError:
+        raise InputError(f"no such {what}", path, fix) from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{what} cannot be read ({str(error)[:120]})", path, fix) from None

@@ -1,27 +1,20 @@
-"""Train on a cluster whose head dies; run by ``test_cluster.py`` in a process of its own."""
+"""Train on a cluster whose head dies; run by ``test_cluster.py``."""
 
 from __future__ import annotations
 
-import os
-import secrets
 import subprocess
 import sys
 import time
 from pathlib import Path
+
+from own_cluster import own_cluster
 
 ROOT = Path(__file__).parents[1]
 WHOLE = "stages.teacher.learning.rollout_steps=4 stages.teacher.learning.minibatch=16"
 
 
 def main(folder: Path) -> None:
-    token = folder / "token"
-    token.write_text(secrets.token_hex(32))
-    os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(token)}
-    os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"}
-    from ray.cluster_utils import Cluster
-
-    node = {"num_cpus": 2, "include_dashboard": False}
-    cluster = Cluster(initialize_head=True, head_node_args=node)
+    cluster = own_cluster(folder, 2)
     out, log = folder / "run", folder / "log"
     options = (
         f"--preset smoke --stage teacher --motions synthetic:stand --envs 4 --threads 1 --out {out}"
@@ -37,7 +30,7 @@ def main(folder: Path) -> None:
         assert cluster.head_node is not None
         cluster.head_node.kill_gcs_server()
         cluster.head_node.kill_raylet()
-        print("exit", training.wait(timeout=300), flush=True)
+        print("exit", training.wait(timeout=500), flush=True)
     lines = [line for line in log.read_text().splitlines() if line.startswith("error:")]
     print("one line" if len(lines) == 1 and " died" in lines[0] else log.read_text(), flush=True)
     print("checkpoint" if (out / "teacher/last/resume.pt").is_file() else "none", flush=True)

@@ -470,7 +470,7 @@ def some_unknowns():
 
 def test_the_solvers_pose_is_that_of_the_decoder_and_forward_kinematics():
     model, module, unknowns, turn, root = some_unknowns()
-    figure = model.figure(unknowns, turn, root, BODY.offsets)
+    skeleton = model.posed_skeleton(unknowns, turn, root, BODY.offsets)
     with torch.no_grad():
         decoded = module.double().decode(torch.as_tensor(unknowns[None, :24]))
     local, moved = decoded.rotation[0].numpy(), decoded.displacement[0].numpy()
@@ -478,21 +478,23 @@ def test_the_solvers_pose_is_that_of_the_decoder_and_forward_kinematics():
     own = rot.quat_multiply(rot.quat_multiply(turn, local[0]), half / np.linalg.norm(half))
     place = root + rot.quat_rotate(turn, moved) + unknowns[24:27]
     joints = joints_from_root(decoded.rotation[0], torch.as_tensor(BODY.offsets)).numpy()
-    np.testing.assert_allclose(figure.position, place + rot.quat_rotate(own, joints), atol=1e-9)
-    np.testing.assert_allclose(figure.quat[0], own, atol=1e-9)
-    np.testing.assert_allclose(figure.quat[1:], rot.quat_multiply(own, local[1:]), atol=1e-9)
+    np.testing.assert_allclose(skeleton.position, place + rot.quat_rotate(own, joints), atol=1e-9)
+    np.testing.assert_allclose(skeleton.quat[0], own, atol=1e-9)
+    np.testing.assert_allclose(skeleton.quat[1:], rot.quat_multiply(own, local[1:]), atol=1e-9)
 
 
 def test_the_solvers_derivatives_are_those_of_differences():
     model, _, unknowns, turn, root = some_unknowns()
-    figure = model.figure(unknowns, turn, root, BODY.offsets, slopes=True)
+    skeleton = model.posed_skeleton(unknowns, turn, root, BODY.offsets, slopes=True)
     for k in range(30):
         nudge = 1e-5 * np.eye(30)[k]
-        a, b = (model.figure(unknowns + s * nudge, turn, root, BODY.offsets) for s in (1, -1))
-        np.testing.assert_allclose(
-            figure.d_position[..., k], (a.position - b.position) / 2e-5, atol=1e-7
+        a, b = (
+            model.posed_skeleton(unknowns + s * nudge, turn, root, BODY.offsets) for s in (1, -1)
         )
-        np.testing.assert_allclose(figure.d_quat[..., k], (a.quat - b.quat) / 2e-5, atol=1e-7)
+        np.testing.assert_allclose(
+            skeleton.d_position[..., k], (a.position - b.position) / 2e-5, atol=1e-7
+        )
+        np.testing.assert_allclose(skeleton.d_quat[..., k], (a.quat - b.quat) / 2e-5, atol=1e-7)
 
 
 @pytest.mark.parametrize("sensors", ["6T", "3T"])

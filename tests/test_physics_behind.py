@@ -156,6 +156,7 @@ def test_systems_that_are_there_are_listed_with_physics_behind_them():
     listed = entries["ik+physics", "-"]
     assert listed["licence"] == "CC-BY-NC-4.0" and listed["sensors"] == ["6T"]
     assert listed["parameters"] == entries[TRACKER, entries_preset(entries)]["parameters"]
+    assert entries[TRACKER, entries_preset(entries)]["sensors"] == ["reference"]
     for (agent, preset), entry in entries.items():
         if preset not in ("-", "cpu") and agent in ("hmdposer", "lgsik"):
             assert (f"{agent}+physics", preset) not in entries, entry["title"]

@@ -211,3 +211,5 @@ def test_list_counts_clips_by_kind(folder, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert any(line.split()[:3] == ["walk", "elderly", "1"] for line in lines)
     assert any(line.split()[:2] == ["all", "3"] for line in lines)
+    list_motions(ListMotionsArgs("synthetic:stand"))
+    assert capsys.readouterr().out.endswith("\nlicence: MIT.\n")

@@ -27,7 +27,8 @@ from agents.training.monitor import Display, evaluation_figures
 from agents.training.options import TrainArgs
 from agents.training.presets import PRESETS, PPOConfig
 from agents.training.stage import Budget, Stage, Stopper
-from agents.training.train_policy import split_validation, train
+from agents.training.train_policy import train
+from agents.training.training_clips import split_validation
 from questsim.errors import InputError
 
 

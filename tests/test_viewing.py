@@ -358,6 +358,15 @@ def test_long_captions_stay_in_the_picture():
     assert (written[35:] == 100).all()
 
 
+def test_captions_of_one_edge_do_not_cover_each_other():
+    frame, left, right = rgb_of_size(220, 120), "fell after 12.3 s", "orange: avatar   blue: user"
+    alone = [caption(frame, {"bottom left": left}), caption(frame, {"bottom right": right})]
+    both = caption(frame, {"bottom right": right, "bottom left": left})
+    assert ((alone[0] != 100) & (alone[1] != 100)).any()
+    drawn = [(picture != 100).sum() for picture in (both, *alone)]
+    assert drawn[0] == drawn[1] + drawn[2]
+
+
 # --- contact sheets and the command ---------------------------------------------------------
 
 

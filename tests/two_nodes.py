@@ -1,24 +1,17 @@
-"""Train on a cluster of two nodes and lose one of them; run by ``test_cluster.py``.
-
-A process of its own: Ray reads its settings for several nodes only once.
-"""
+"""Train on a cluster of two nodes and lose one of them; run by ``test_cluster.py``."""
 
 from __future__ import annotations
 
-import os
-import secrets
 import sys
 from dataclasses import replace
 from pathlib import Path
 
+from own_cluster import own_cluster
+
 
 def main(folder: Path) -> None:
-    token = folder / "token"
-    token.write_text(secrets.token_hex(32))
-    os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(token)}
-    os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"}
+    cluster = own_cluster(folder, 1)
     import ray
-    from ray.cluster_utils import Cluster
     from test_cluster import CONFIG, trained
 
     from agents.training.cluster import ActorPool
@@ -27,8 +20,6 @@ def main(folder: Path) -> None:
     from envs.config import EnvConfig
     from questsim.motion.spec import load_motions
 
-    node = {"num_cpus": 1, "include_dashboard": False}
-    cluster = Cluster(initialize_head=True, head_node_args=node)
     second = cluster.add_node(num_cpus=1)
     clips = load_motions("synthetic:stand+wave")[:3]
     batch = BatchSpec(clips, EnvConfig(privileged=True, sampling="failure"), 4, seed=3)

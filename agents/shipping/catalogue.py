@@ -27,8 +27,10 @@ class AgentsArgs:
 def catalogue() -> list[dict[str, Any]]:
     """One entry per agent and preset, with ``KEYS``.
 
-    ``parameters`` counts trainable parameters; ``licence`` is that of the weights, or of the code
-    if there are no weights; ``weights`` says whether weights are shipped.
+    ``sensors`` are the sets of devices that it can use, or ``reference`` if it observes the whole
+    body of a reference motion instead. ``parameters`` counts trainable parameters. ``licence`` is
+    that of the weights, or of the code if there are no weights. ``weights`` says whether weights
+    are shipped.
     """
     shipped = [
         (folder.parent, read_system_card(folder.parent))
@@ -102,14 +104,15 @@ def _policies() -> list[dict[str, Any]]:
     entries = []
     for name in shipped_policies():
         card, policy = read_card(SHIPPED / name), load_policy(SHIPPED / name).policy
+        follows_reference = "privileged" in policy.spec.actor_blocks
         entries.append(
             {
                 "agent": name,
                 "preset": card["training"].get("preset", "-"),
-                "title": "torque policy"
-                if "privileged" not in policy.spec.actor_blocks
-                else "torque policy that follows a full-body reference, not devices",
-                "sensors": [card["needs"]["sensors"]],
+                "title": "torque policy that follows a full-body reference, not devices"
+                if follows_reference
+                else "torque policy",
+                "sensors": ["reference" if follows_reference else card["needs"]["sensors"]],
                 "parameters": sum(p.numel() for p in policy.parameters()),
                 "licence": licence_of(card["training"]),
                 "weights": True,

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from agents.agent import Needs
-from agents.evaluation.follow import Followed, choose_clips, evaluation_sim, follow
+from agents.evaluation.follow import Followed, evaluation_sim, follow
 from agents.overrides import with_overrides
 from agents.policy.checkpoint import CARD_FILE, find_policy, read_card
 from agents.policy.policy_agent import PolicyAgent
@@ -29,7 +29,6 @@ from agents.run_folder import (
 )
 from agents.training.cluster import ActorPool
 from agents.training.fresh_motions import REDRAW_STEPS, FreshMotions, check_share, redrawing
-from agents.training.hold_out import without_styles
 from agents.training.learner import Learner
 from agents.training.loggers import check_logger
 from agents.training.make_learner import make_learner
@@ -41,7 +40,14 @@ from agents.training.ray_session import ray_cluster, ray_runs
 from agents.training.rollout_worker import BatchSpec
 from agents.training.specialists import read_specialist
 from agents.training.stage import Budget, Stage, Stopper
-from agents.training.start_estimates import estimated, start_estimates
+from agents.training.start_estimates import start_estimates
+from agents.training.training_clips import (
+    Pairs,
+    estimate_pairs,
+    load_clips,
+    split_validation,
+    validation_clips,
+)
 from agents.training.watched import watched
 from envs.config import EnvConfig
 from envs.objects import objects_named
@@ -53,7 +59,6 @@ from questsim.bodies import read_body
 from questsim.errors import INTERRUPTED, InputError, at_least
 from questsim.motion.clip import Clip
 
-Pairs = dict[str, tuple[Clip, Clip]]
 _PAUSE_S = (1.0, 4.0)
 """Seconds between pushes: long enough to recover from one before the next."""
 MAY_DIFFER_ON_RESUME = {
@@ -76,6 +81,7 @@ MAY_DIFFER_ON_RESUME = {
 
 def train(args: TrainArgs) -> int:
     """See ``train_here``; with ``--workers`` in a process of its own."""
+    _refuse_unused(args)  # before that process starts
     if args.workers and not ray_runs():
         return watched(train_here, args)
     return train_here(args)
@@ -93,7 +99,6 @@ def train_here(args: TrainArgs) -> int:
         start=from_anywhere(args.start),
         specialists=tuple(str(read_specialist(text)) for text in args.specialists),
     )
-    _refuse_unused(args)
     check_logger(args.log)
     at_least(1, threads=args.threads, envs=args.envs, steps=args.steps, redraw=args.redraw)
     at_least(0, minutes=args.minutes, seed=args.seed)
@@ -105,7 +110,7 @@ def train_here(args: TrainArgs) -> int:
         refuse_existing(args.out)
     clips = load_clips(args)
     check_share(args.vary, args.redraw, clips)
-    shown, begin_at = _estimates(args, clips), start_estimates(args, clips)
+    shown, begin_at = estimate_pairs(args, clips), start_estimates(args, clips)
     if shown is None:
         data = data_record(args.motions, clips)
     else:
@@ -186,55 +191,6 @@ def _outcome(out: Path) -> str:
         return f"no better than its start yet; go on with --resume --out {out}"
 
 
-def load_clips(args: TrainArgs) -> list[Clip]:
-    """The clips of ``--motions``, at the data's own statures and, if asked for, proportions."""
-    from questsim.motion.spec import load_motions
-
-    if args.own_proportions and args.proportions:
-        what = "does not go with --own-proportions"
-        raise InputError(what, "--proportions", "give one of them")
-    return load_motions(
-        args.motions,
-        mirrored=args.mirrored,
-        seed=args.seed,
-        own_proportions=args.own_proportions,
-    )
-
-
-def _estimates(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
-    """Pairs of true and observed clips, by name: one per estimate, and the truth itself once.
-
-    Raises:
-        InputError: the stage does not use estimates, or they are not of these clips.
-    """
-    from questsim.motion.retarget import to_clip
-    from questsim.motion.retarget_back import to_motion
-    from questsim.motion.spec import load_motions
-
-    if args.estimates is None:
-        return None
-    if args.stage not in ("student", "finetune"):
-        fix = "add --stage student or finetune"
-        raise InputError(f"does not go with --stage {args.stage}", "--estimates", fix)
-    if args.vary:
-        raise InputError("does not go with --vary", "--estimates", "leave out --vary")
-    if args.mirrored:
-        raise InputError("does not go with --mirrored", "--estimates", "leave out --mirrored")
-    known = {clip.name: clip for clip in clips}
-    pairs: Pairs = {}
-    for estimate in load_motions(args.estimates, seed=args.seed):
-        user = estimated(estimate, known, args.estimates)
-        if known[user].height_m != estimate.height_m:
-            # Estimates are made from recordings, whose stature is measured on their bones.
-            known[user] = to_clip(to_motion(known[user]))
-        name, again = estimate.name, 2
-        while name in pairs:  # the same system with other devices
-            name, again = f"{estimate.name} {again}", again + 1
-        pairs[name] = replace(known[user], name=name), estimate
-        pairs[user] = known[user], known[user]  # train on accurate estimates too
-    return pairs
-
-
 def _stage_names(args: TrainArgs, preset: Preset) -> list[str]:
     if args.stage == "all":
         return [name for name, stage in preset.stages.items() if stage.share > 0]
@@ -267,7 +223,7 @@ def _run_stage(
     env_config = _env_config(args, preset, config)
     learnt, validation = split_validation(clips, args.hold_out, preset.validation_clips)
     if args.validation is not None:
-        validation = _validation(args, preset)
+        validation = validation_clips(args, preset.validation_clips)
     # Each stage has its own random stream, whether it runs alone or after another.
     seed = args.seed + 1000 * list(preset.stages).index(name)
     torch.manual_seed(seed)
@@ -355,40 +311,6 @@ def _env_config(args: TrainArgs, preset: Preset, config: StageConfig) -> EnvConf
         proportions=args.proportions,
         observe_proportions=args.observe_proportions,
     )
-
-
-def split_validation(
-    clips: Sequence[Clip], hold_out: str, count: int
-) -> tuple[list[Clip], list[Clip]]:
-    """Clips to learn from, and the fixed set on which checkpoints are compared.
-
-    Args:
-        clips: all clips.
-        hold_out: styles used only for evaluation; without any, the fixed set is a subset of the
-            training clips.
-        count: size of the fixed set.
-
-    Raises:
-        InputError: no such style, or no training clips are left.
-    """
-    learnt, held = without_styles(clips, hold_out)
-    return learnt, choose_clips(held or learnt, count)
-
-
-def _validation(args: TrainArgs, preset: Preset) -> list[Clip]:
-    """The clips of ``--validation``, at most the preset's number of validation clips.
-
-    Raises:
-        InputError: another option excludes it.
-    """
-    from questsim.motion.spec import load_motions
-
-    assert args.validation is not None
-    for option, given in (("--hold-out", args.hold_out), ("--estimates", args.estimates)):
-        if given:
-            raise InputError(f"does not go with {option}", "--validation", "leave one out")
-    clips = load_motions(args.validation, seed=args.seed, own_proportions=args.own_proportions)
-    return choose_clips(clips, preset.validation_clips)
 
 
 def _budget(name: str, args: TrainArgs, preset: Preset) -> Budget:

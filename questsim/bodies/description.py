@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import importlib.util
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 
 from questsim.assets import mjcf_path
 from questsim.errors import InputError
+from questsim.files import read_toml
 from questsim.skeleton import LINKS
 
 TOES: tuple[str, str] = ("left_toes", "right_toes")
@@ -76,14 +76,9 @@ def read_description(file: str | Path) -> Description:
     path = Path(file)
     if not path.suffix and not path.exists() and (SHIPPED / f"{path}.toml").exists():
         path = SHIPPED / f"{path}.toml"
-    try:
-        with path.open("rb") as opened:
-            table = tomllib.load(opened)
-    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        shipped = ", ".join(sorted(p.stem for p in SHIPPED.glob("*.toml")))
-        reason = getattr(error, "strerror", None) or str(error)
-        fix = f"name a TOML file of a body (docs/body.md), or {shipped}"
-        raise InputError(f"no description of a body ({reason})", path, fix) from None
+    shipped = ", ".join(sorted(p.stem for p in SHIPPED.glob("*.toml")))
+    fix = f"name a TOML file of a body (docs/body.md), or {shipped}"
+    table = read_toml(path, "description of a body", fix)
     for key in table:
         if key not in _FIELDS:
             raise InputError(_unknown(key, _FIELDS), path, f"it may have {', '.join(_FIELDS)}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import re
-import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatchcase
@@ -14,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from questsim.errors import InputError
+from questsim.files import read_toml
 from questsim.motion.clip import Clip
 from questsim.motion.motion import Motion
 
@@ -176,13 +176,7 @@ def read_mixture(path: Path) -> dict[str, list[Entry]]:
     Raises:
         InputError: the file cannot be read, or a key or value is not one of ``Entry``'s.
     """
-    try:
-        with path.open("rb") as file:
-            table = tomllib.load(file)
-    except FileNotFoundError:
-        raise InputError("no such mixture file", path) from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"cannot be read ({str(error)[:120]})", path) from None
+    table = read_toml(path, "mixture file")
     for name, entries in table.items():
         if not isinstance(entries, list) or not all(isinstance(e, dict) for e in entries):
             raise InputError(

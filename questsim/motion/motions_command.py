@@ -250,7 +250,7 @@ def list_motions(args: ListMotionsArgs) -> None:
     licences = sorted({clip.licence for clip in clips if clip.licence})
     if licences:
         credit = [d.credit for d in DATASETS.values() if d.name in args.spec]
-        print(f"licence: {', '.join(licences)}. {' '.join(credit)}")
+        print(" ".join([f"licence: {', '.join(licences)}.", *credit]))
 
 
 def _summary(clips: Sequence[Clip]) -> str:

@@ -31,6 +31,8 @@ def caption(
 ) -> np.ndarray:
     """A copy of a picture with a line of text on a light label in some corners.
 
+    A right label that would cover the left one of its row moves one line towards the middle.
+
     Args:
         frame: ``(H, W, 3)`` uint8.
         texts: the line for each corner; empty ones are left out.
@@ -41,13 +43,16 @@ def caption(
     draw = ImageDraw.Draw(image, "RGBA")
     size = size or text_size(image.height)
     pad, edge = size // 3, size // 2
-    for corner, text in texts.items():
+    height, taken = 1.3 * size + pad, {"top": 0.0, "bottom": 0.0}
+    for corner, text in sorted(texts.items(), key=lambda item: item[0].endswith("right")):
         if not text:
             continue
         text = _fitted(draw, text, size, image.width - 2 * (pad + edge))
-        width, height = draw.textlength(text, font(size)) + 2 * pad, 1.3 * size + pad
+        width, row = draw.textlength(text, font(size)) + 2 * pad, corner.split()[0]
         x = edge if corner.endswith("left") else image.width - edge - width
-        y = edge if corner.startswith("top") else image.height - edge - height
+        inward = round(height + pad) if x < taken[row] else 0
+        taken[row] = x + width + pad
+        y = edge + inward if row == "top" else image.height - edge - height - inward
         draw.rounded_rectangle((x, y, x + width, y + height), radius=pad, fill=_PAPER)
         ink = ALARM if alarm and corner == "bottom left" else INK
         draw.text((x + pad, y + height / 2), text, font=font(size), fill=ink, anchor="lm")

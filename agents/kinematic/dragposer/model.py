@@ -106,7 +106,7 @@ class DragModel:
         self._mean = module.mean[:, :4].double().numpy()
         self._step_std = float(module.step_std)
 
-    def figure(
+    def posed_skeleton(
         self,
         unknowns: np.ndarray,
         turn: np.ndarray,
@@ -158,7 +158,7 @@ class DragModel:
         d_quat[0] = d_own
         return PosedSkeleton(position, quat, d_position, d_quat)
 
-    def figures(
+    def posed_skeletons(
         self,
         unknowns: np.ndarray,
         turn: np.ndarray,
@@ -166,7 +166,7 @@ class DragModel:
         offsets: np.ndarray,
         slopes: bool = False,
     ) -> PosedSkeleton:
-        """``figure`` of ``B`` poses: every argument and result has one more axis in front."""
+        """``posed_skeleton`` of ``B`` poses; arguments and result have one more axis in front."""
         count = len(unknowns)
         local, moved, d_local, d_moved = self._decoded_all(unknowns[:, :LATENT], slopes)
         half = np.concatenate([np.ones((count, 1)), 0.5 * unknowns[:, TURN]], axis=1)

@@ -24,15 +24,8 @@ from agents.kinematic.dragposer.networks import (
     PAST,
     TOKEN_EVERY,
 )
-from agents.kinematic.dragposer.solver import (
-    ADAM_RATE,
-    GOOD_POSITION,
-    GOOD_ROTATION,
-    HIP,
-    DragPoser,
-    Goal,
-    off_trackers,
-)
+from agents.kinematic.dragposer.residuals import GOOD_POSITION, GOOD_ROTATION, Goal, off_trackers
+from agents.kinematic.dragposer.solver import ADAM_RATE, HIP, DragPoser
 from agents.kinematic.interface import DeviceSignals, UserBody
 from questsim import rotations as rot
 
@@ -68,14 +61,14 @@ class PublishedDragPoser(DragPoser):
         optimiser = torch.optim.Adam([latent], lr=ADAM_RATE)
         for _ in range(iterations):
             whole = np.concatenate([latent.numpy(), np.zeros(UNKNOWNS - LATENT)])
-            if goal.joints and _near(self._figure(whole, goal), goal):
+            if goal.joints and _near(self._skeleton(whole, goal), goal):
                 break
             residual, jacobian = self._residuals(whole, goal, slopes=True)
             latent.grad = torch.from_numpy(2.0 * jacobian[:, :LATENT].T @ residual)
             optimiser.step()
         whole = np.concatenate([latent.numpy(), np.zeros(UNKNOWNS - LATENT)])
         if HIP in goal.joints:
-            off = goal.position[goal.joints.index(HIP)] - self._figure(whole, goal).position[HIP]
+            off = goal.position[goal.joints.index(HIP)] - self._skeleton(whole, goal).position[HIP]
             whole[LATENT : LATENT + 3] = off
         return whole
 
@@ -110,15 +103,15 @@ class PublishedDragPoser(DragPoser):
         answer = self.module.predictor(past[None], count)[0]
         return (answer * std[:LATENT] + mean[:LATENT]).numpy()
 
-    def _note_token(self, figure: PosedSkeleton) -> None:
+    def _note_token(self, skeleton: PosedSkeleton) -> None:
         assert self._latent is not None
-        heights = figure.position[list(HEIGHT_JOINTS), 2].copy()
+        heights = skeleton.position[list(HEIGHT_JOINTS), 2].copy()
         self._past.append((self._latent.copy(), self._root, self._turn, heights))
 
 
-def _near(figure: PosedSkeleton, goal: Goal) -> bool:
+def _near(skeleton: PosedSkeleton, goal: Goal) -> bool:
     """Whether both weighted losses are below the published limits."""
     position, rotation = (
-        float(((value * weight) ** 2).sum()) for value, _, weight in off_trackers(figure, goal)
+        float(((value * weight) ** 2).sum()) for value, _, weight in off_trackers(skeleton, goal)
     )
     return position <= GOOD_POSITION and rotation <= GOOD_ROTATION

@@ -11,20 +11,28 @@ from __future__ import annotations
 import copy
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from agents.kinematic.dragposer.constraints import Constraint
-from agents.kinematic.dragposer.model import UNKNOWNS, DragModel, PosedSkeleton, left_matrix
+from agents.kinematic.dragposer.model import UNKNOWNS, DragModel, PosedSkeleton
 from agents.kinematic.dragposer.networks import (
     HEIGHT_JOINTS,
     LATENT,
     PAST,
     TOKEN_EVERY,
     DragPoserModule,
+)
+from agents.kinematic.dragposer.residuals import (
+    Goal,
+    constraint_residual,
+    is_near,
+    mean_distance,
+    off_trackers,
+    prior_mean,
+    prior_scale,
 )
 from agents.kinematic.interface import DeviceSignals, KinematicSystem, Poses, UserBody
 from questsim import rotations as rot
@@ -48,11 +56,7 @@ PREDICTION_WEIGHTS = {6: 0.02, 5: 0.02, 4: 0.125, 3: 0.15}
 NEWTON_SHARE = 0.05
 """Factor on lambda_T in the Gauss-Newton solver. This solver reaches the optimum, unlike the few
 steps of Adam in the paper, and there the full weight keeps the pose away from its trackers."""
-GOOD_POSITION, GOOD_ROTATION = 1e-4, 0.01
-"""Losses at which Adam stops (the paper)."""
 ADAM_RATE = 0.01
-ROOT_WEIGHTS = (0.5, 0.05)
-"""Weights that keep the root's translation (m) and rotation (rad) near the decoded ones."""
 FLOOR_WEIGHT, UNDER_HEAD_WEIGHT = 0.5, 0.05
 """Weights without a hip tracker: the lower ankle near the floor, the hip below the head."""
 ANKLE_RISE_M = 0.03
@@ -64,29 +68,6 @@ BETTER, PATIENCE = 0.7, 60
 FIRST_ITERATIONS = 40
 
 _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
-
-
-@dataclass
-class Goal:
-    """The targets of one frame.
-
-    Attributes:
-        joints: indices of the joints whose trackers report.
-        position, quat: ``(D, 3)`` and ``(D, 4)`` of these joints in the world.
-        weights: ``(D, 2)`` of position and rotation.
-        predicted: ``(24,)`` the predicted latent.
-        prediction_weight: lambda_T.
-        root, turn: ``(3,)``, ``(4,)`` the root's position and orientation in the previous frame.
-    """
-
-    joints: list[int]
-    position: np.ndarray
-    quat: np.ndarray
-    weights: np.ndarray
-    predicted: np.ndarray
-    prediction_weight: float
-    root: np.ndarray
-    turn: np.ndarray
 
 
 class DragPoser(KinematicSystem):
@@ -176,11 +157,11 @@ class DragPoser(KinematicSystem):
             unknowns = np.concatenate([self._latent, np.zeros(6)])
         unknowns = self._solve(unknowns, goal, iterations)
         unknowns = self._found_again(unknowns, goal)
-        figure = self._figure(unknowns, goal)
+        skeleton = self._skeleton(unknowns, goal)
         self._latent = unknowns[:LATENT]
-        self._root, self._turn = figure.position[0].copy(), figure.quat[0].copy()
-        self._note_token(figure)
-        quat = figure.quat
+        self._root, self._turn = skeleton.position[0].copy(), skeleton.quat[0].copy()
+        self._note_token(skeleton)
+        quat = skeleton.quat
         local = rot.quat_multiply(rot.quat_conjugate(quat[list(JOINT_PARENTS)]), quat)
         local[0] = quat[0]
         for joint, weight, measured in zip(goal.joints, goal.weights, goal.quat, strict=True):
@@ -189,7 +170,7 @@ class DragPoser(KinematicSystem):
                 local[joint] = rot.quat_multiply(
                     rot.quat_conjugate(quat[JOINT_PARENTS[joint]]), measured
                 )
-        return Poses(figure.position[:1].copy(), local[None], self._body.offsets[None])
+        return Poses(skeleton.position[:1].copy(), local[None], self._body.offsets[None])
 
     def _goal(self, signals: DeviceSignals) -> Goal:
         shown = [i for i in range(len(self._mounts)) if signals.present[0, i]]
@@ -219,11 +200,11 @@ class DragPoser(KinematicSystem):
         at = goal.joints.index(anchor)
         goal.turn = goal.quat[at] if anchor == HIP else rot.yaw_quat(rot.heading(goal.quat[at]))
         goal.root = np.zeros(3)
-        goal.root = goal.position[at] - self._figure(unknowns, goal).position[anchor]
+        goal.root = goal.position[at] - self._skeleton(unknowns, goal).position[anchor]
         return unknowns
 
-    def _figure(self, unknowns: np.ndarray, goal: Goal, slopes: bool = False) -> PosedSkeleton:
-        return self.model.figure(unknowns, goal.turn, goal.root, self._body.offsets, slopes)
+    def _skeleton(self, unknowns: np.ndarray, goal: Goal, slopes: bool = False) -> PosedSkeleton:
+        return self.model.posed_skeleton(unknowns, goal.turn, goal.root, self._body.offsets, slopes)
 
     def _residuals(
         self, unknowns: np.ndarray, goal: Goal, slopes: bool = False
@@ -232,21 +213,22 @@ class DragPoser(KinematicSystem):
 
         Without ``slopes`` the derivatives have no columns.
         """
-        figure = self._figure(unknowns, goal, slopes)
-        parts = [(unknowns - _held(goal), np.eye(UNKNOWNS)[:, : figure.columns], _hold(goal))]
+        skeleton = self._skeleton(unknowns, goal, slopes)
+        unit = np.eye(UNKNOWNS)[:, : skeleton.columns]
+        parts = [(unknowns - prior_mean(goal), unit, prior_scale(goal))]
         if goal.joints:
-            parts += off_trackers(figure, goal)
+            parts += off_trackers(skeleton, goal)
         if HIP not in goal.joints:
-            foot = ANKLES[int(figure.position[ANKLES, 2].argmin())]
-            low = figure.position[[foot], 2] - self._ankle_rise
-            parts.append((low, figure.d_position[[foot], 2], np.sqrt([FLOOR_WEIGHT])))
+            foot = ANKLES[int(skeleton.position[ANKLES, 2].argmin())]
+            low = skeleton.position[[foot], 2] - self._ankle_rise
+            parts.append((low, skeleton.d_position[[foot], 2], np.sqrt([FLOOR_WEIGHT])))
             if HEAD in goal.joints:
-                off = figure.position[HIP, :2] - goal.position[goal.joints.index(HEAD), :2]
-                parts.append((off, figure.d_position[HIP, :2], np.sqrt([UNDER_HEAD_WEIGHT])))
-        parts += [_asked(constraint, figure) for constraint in self.constraints]
+                off = skeleton.position[HIP, :2] - goal.position[goal.joints.index(HEAD), :2]
+                parts.append((off, skeleton.d_position[HIP, :2], np.sqrt([UNDER_HEAD_WEIGHT])))
+        parts += [constraint_residual(constraint, skeleton) for constraint in self.constraints]
         values = [(value * weight).ravel() for value, _, weight in parts]
         rows = [
-            (slope * weight[..., None]).reshape(value.size, figure.columns)
+            (slope * weight[..., None]).reshape(value.size, skeleton.columns)
             for value, slope, weight in parts
         ]
         return np.concatenate(values), np.concatenate(rows)
@@ -288,7 +270,7 @@ class DragPoser(KinematicSystem):
             residual, jacobian = self._residuals(free.numpy(), goal, slopes=True)
             free.grad = torch.from_numpy(2.0 * jacobian.T @ residual)
             optimiser.step()
-            if goal.joints and _near(self._figure(free.numpy(), goal), goal):
+            if goal.joints and is_near(self._skeleton(free.numpy(), goal), goal):
                 break
         return free.numpy()
 
@@ -296,7 +278,7 @@ class DragPoser(KinematicSystem):
         """The same unknowns, or newly initialised ones if the pose has lost its trackers."""
         if not goal.joints:
             return unknowns
-        off = _mean_distance(self._figure(unknowns, goal), goal)
+        off = mean_distance(self._skeleton(unknowns, goal), goal)
         # The first frame and a returning device may be far off immediately.
         self._lost_for = self._lost_for + 1 if off > LOST_M else 0
         if self._lost_for < LOST_FRAMES:
@@ -308,7 +290,7 @@ class DragPoser(KinematicSystem):
         fresh = copy.copy(goal)
         fresh.predicted = np.zeros(LATENT)
         again = self._solve(self._start(fresh), fresh, FIRST_ITERATIONS)
-        if _mean_distance(self._figure(again, fresh), goal) < BETTER * off:
+        if mean_distance(self._skeleton(again, fresh), goal) < BETTER * off:
             self._tokens.clear()
             self._coming, self._since = None, 0
             goal.root, goal.turn = fresh.root, fresh.turn
@@ -324,7 +306,7 @@ class DragPoser(KinematicSystem):
         share = min(self._since + 1, TOKEN_EVERY) / TOKEN_EVERY
         return self._coming[0] * (1 - share) + self._coming[1] * share
 
-    def _note_token(self, figure: PosedSkeleton) -> None:
+    def _note_token(self, skeleton: PosedSkeleton) -> None:
         """Every fourth frame: store a token, and predict the latent four frames ahead."""
         self._since += 1
         if not self.use_predictor or (self._tokens and self._since < TOKEN_EVERY):
@@ -334,70 +316,10 @@ class DragPoser(KinematicSystem):
         moved = rot.quat_rotate(rot.quat_conjugate(self._token_turn), moved)
         if not self._tokens:
             moved = np.zeros_like(moved)
-        heights = figure.position[list(HEIGHT_JOINTS), 2]
+        heights = skeleton.position[list(HEIGHT_JOINTS), 2]
         token = torch.from_numpy(np.concatenate([self._latent, moved, heights]))
         mean, std = self.module.token_mean, self.module.token_std
         self._tokens.append((token - mean) / std)
         self._token_root, self._token_turn, self._since = self._root, self._turn, 0
         answer = self.module.predictor(torch.stack(list(self._tokens))[None], 1)[0, 0]
         self._coming = (self._latent, (answer * std[:LATENT] + mean[:LATENT]).numpy())
-
-
-# -- residuals of a frame ---------------------------------------------------------------------
-
-_Part = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Residuals, their derivatives (one more axis), and the square roots of their weights."""
-
-
-def _held(goal: Goal) -> np.ndarray:
-    """Prior means ``(30,)`` of the unknowns: the predicted latent, the root as decoded."""
-    return np.concatenate([goal.predicted, np.zeros(UNKNOWNS - LATENT)])
-
-
-def _hold(goal: Goal) -> np.ndarray:
-    """Square roots ``(30,)`` of the weights of this prior."""
-    weights = [goal.prediction_weight / LATENT, *(weight / 3.0 for weight in ROOT_WEIGHTS)]
-    return np.repeat(np.sqrt(weights), [LATENT, 3, 3])
-
-
-def off_trackers(figure: PosedSkeleton, goal: Goal) -> list[_Part]:
-    """Tracker errors: metres, and twice the vector parts of the rotation errors."""
-    scales = np.sqrt(goal.weights / (3.0 * len(goal.joints)))
-    back = left_matrix(rot.quat_conjugate(goal.quat))
-    turned = (back @ figure.quat[goal.joints][..., None])[..., 0]
-    twice = np.where(turned[:, :1] < 0, -2.0, 2.0)
-    return [
-        (
-            figure.position[goal.joints] - goal.position,
-            figure.d_position[goal.joints],
-            scales[:, :1],
-        ),
-        (turned[:, 1:], (back @ figure.d_quat[goal.joints])[:, 1:], twice * scales[:, 1:]),
-    ]
-
-
-def _asked(constraint: Constraint, figure: PosedSkeleton) -> _Part:
-    """The square root of a user's loss; its derivative is set to zero where it is undefined."""
-    position = torch.from_numpy(figure.position)[None].requires_grad_()
-    quat = torch.from_numpy(figure.quat)[None].requires_grad_()
-    with torch.enable_grad():
-        root = (constraint(position, quat)[0] + 1e-12).sqrt()
-    slope = np.zeros((1, figure.columns))
-    if figure.columns and root.requires_grad:
-        found = torch.autograd.grad(root, [position, quat], allow_unused=True)
-        for each, change in zip(found, (figure.d_position, figure.d_quat), strict=True):
-            if each is not None:
-                each = np.nan_to_num(each[0].numpy(), posinf=0.0, neginf=0.0)
-                slope += np.tensordot(each, change, axes=2)
-    return np.array([float(root.detach())]), slope, np.ones(1)
-
-
-def _near(figure: PosedSkeleton, goal: Goal) -> bool:
-    apart = ((figure.position[goal.joints] - goal.position) ** 2).mean()
-    dot = np.abs((figure.quat[goal.joints] * goal.quat).sum(-1))
-    return bool(apart <= GOOD_POSITION) and bool((1.0 - dot).mean() <= GOOD_ROTATION)
-
-
-def _mean_distance(figure: PosedSkeleton, goal: Goal) -> float:
-    """Mean distance in metres between joints and their trackers."""
-    return float(np.linalg.norm(figure.position[goal.joints] - goal.position, axis=-1).mean())

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from agents.kinematic.dragposer.model import UNKNOWNS, DragModel, left_matrix
 from agents.kinematic.dragposer.networks import HEIGHT_JOINTS, LATENT, PAST, TOKEN_EVERY
+from agents.kinematic.dragposer.residuals import ROOT_WEIGHTS
 from agents.kinematic.dragposer.solver import (
     ANKLES,
     BETTER,
@@ -32,7 +33,6 @@ from agents.kinematic.dragposer.solver import (
     PASSED_ON,
     PATIENCE,
     PREDICTION_WEIGHTS,
-    ROOT_WEIGHTS,
     UNDER_HEAD_WEIGHT,
     DragPoser,
 )
@@ -47,7 +47,7 @@ _PARENTS = list(JOINT_PARENTS)
 
 @dataclass
 class Goals:
-    """The targets of one frame of ``B`` streams; see ``solver.Goal``.
+    """The targets of one frame of ``B`` streams; see ``residuals.Goal``.
 
     Attributes:
         joints: ``(D,)`` joints that carry trackers.
@@ -96,32 +96,32 @@ def residuals(
     model: DragModel, unknowns: np.ndarray, goals: Goals, slopes: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residuals ``(B, R)`` and their derivatives ``(B, R, 30)``; see ``DragPoser._residuals``."""
-    figure = model.figures(unknowns, goals.turn, goals.root, goals.offsets, slopes)
-    count, columns = len(unknowns), figure.columns
+    skeleton = model.posed_skeletons(unknowns, goals.turn, goals.root, goals.offsets, slopes)
+    count, columns = len(unknowns), skeleton.columns
     prior = np.zeros((count, UNKNOWNS))
     prior[:, :LATENT] = goals.predicted
     at = goals.joints
     back = left_matrix(rot.quat_conjugate(goals.quat))
-    turned = (back @ figure.quat[:, at][..., None])[..., 0]
+    turned = (back @ skeleton.quat[:, at][..., None])[..., 0]
     twice = np.where(turned[..., :1] < 0, -2.0, 2.0)
     place, spin = goals.scales[..., :1], twice * goals.scales[..., 1:]
     parts = [
         ((unknowns - prior) * goals.hold, goals.hold[..., None] * _EYE[:, :columns]),
         (
-            (figure.position[:, at] - goals.position) * place,
-            figure.d_position[:, at] * place[..., None],
+            (skeleton.position[:, at] - goals.position) * place,
+            skeleton.d_position[:, at] * place[..., None],
         ),
-        (turned[..., 1:] * spin, (back @ figure.d_quat[:, at])[:, :, 1:] * spin[..., None]),
+        (turned[..., 1:] * spin, (back @ skeleton.d_quat[:, at])[:, :, 1:] * spin[..., None]),
     ]
     free = ~goals.reports(HIP)
     if free.any():
         rows = np.arange(count)
-        foot = np.array(ANKLES)[figure.position[:, ANKLES, 2].argmin(axis=1)]
+        foot = np.array(ANKLES)[skeleton.position[:, ANKLES, 2].argmin(axis=1)]
         low = free * np.sqrt(FLOOR_WEIGHT)
         parts.append(
             (
-                ((figure.position[rows, foot, 2] - goals.ankle_rise) * low)[:, None],
-                (figure.d_position[rows, foot, 2] * low[:, None])[:, None],
+                ((skeleton.position[rows, foot, 2] - goals.ankle_rise) * low)[:, None],
+                (skeleton.d_position[rows, foot, 2] * low[:, None])[:, None],
             )
         )
         under = (free & goals.reports(HEAD)) * np.sqrt(UNDER_HEAD_WEIGHT)
@@ -129,8 +129,8 @@ def residuals(
             head = goals.position[:, at.index(HEAD), :2]
             parts.append(
                 (
-                    (figure.position[:, HIP, :2] - head) * under[:, None],
-                    figure.d_position[:, HIP, :2] * under[:, None, None],
+                    (skeleton.position[:, HIP, :2] - head) * under[:, None],
+                    skeleton.d_position[:, HIP, :2] * under[:, None, None],
                 )
             )
     values = [value.reshape(count, -1) for value, _ in parts]
@@ -238,11 +238,11 @@ class Together:
             unknowns[:, :LATENT] = self.latent[rows]
         unknowns = newton(self.model, unknowns, goals, iterations)
         unknowns = self._found_again(unknowns, goals, rows)
-        figure = self.model.figures(unknowns, goals.turn, goals.root, goals.offsets)
+        skeleton = self.model.posed_skeletons(unknowns, goals.turn, goals.root, goals.offsets)
         self.latent[rows] = unknowns[:, :LATENT]
-        self.root[rows], self.turn[rows] = figure.position[:, 0], figure.quat[:, 0]
-        self._note_tokens(rows, figure.position)
-        quat = figure.quat
+        self.root[rows], self.turn[rows] = skeleton.position[:, 0], skeleton.quat[:, 0]
+        self._note_tokens(rows, skeleton.position)
+        quat = skeleton.quat
         above = rot.quat_conjugate(quat[:, _PARENTS])
         local = rot.quat_multiply(above, quat)
         local[:, 0] = quat[:, 0]
@@ -251,7 +251,7 @@ class Together:
                 taken = goals.scales[:, at, 1] > 0
                 measured = rot.quat_multiply(above[taken, joint], goals.quat[taken, at])
                 local[taken, joint] = measured
-        return figure.position[:, 0], local
+        return skeleton.position[:, 0], local
 
     def _goals(self, rows: np.ndarray, frame: int) -> Goals:
         told = [self.signals[row] for row in rows]
@@ -292,12 +292,12 @@ class Together:
         goals.turn = np.where((joint == HIP)[:, None], quat, upright)
         goals.root = np.zeros((count, 3))
         none = np.zeros((count, UNKNOWNS))
-        there = self.model.figures(none, goals.turn, goals.root, goals.offsets).position
+        there = self.model.posed_skeletons(none, goals.turn, goals.root, goals.offsets).position
         goals.root = goals.position[rows, anchor] - there[rows, joint]
 
     def _found_again(self, unknowns: np.ndarray, goals: Goals, rows: np.ndarray) -> np.ndarray:
-        figure = self.model.figures(unknowns, goals.turn, goals.root, goals.offsets)
-        off = goals.distance(figure.position)
+        skeleton = self.model.posed_skeletons(unknowns, goals.turn, goals.root, goals.offsets)
+        off = goals.distance(skeleton.position)
         self.lost_for[rows] = np.where(off > LOST_M, self.lost_for[rows] + 1, 0)
         lost = self.lost_for[rows] >= LOST_FRAMES
         self.lost_for[rows[lost]] = -PATIENCE
@@ -309,7 +309,7 @@ class Together:
         fresh.predicted = np.zeros_like(fresh.predicted)
         self._start(fresh)
         again = newton(self.model, np.zeros((len(which), UNKNOWNS)), fresh, FIRST_ITERATIONS)
-        there = self.model.figures(again, fresh.turn, fresh.root, fresh.offsets).position
+        there = self.model.posed_skeletons(again, fresh.turn, fresh.root, fresh.offsets).position
         for i, at in enumerate(which):
             if fresh.distance(there)[i] < BETTER * off[at]:
                 row = rows[at]

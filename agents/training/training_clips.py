@@ -1,0 +1,99 @@
+"""The clips that a training learns from, their estimates, and the clips that choose checkpoints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from agents.evaluation.follow import choose_clips
+from agents.training.hold_out import without_styles
+from agents.training.options import TrainArgs
+from agents.training.start_estimates import estimated
+from questsim.errors import InputError
+from questsim.motion.clip import Clip
+
+Pairs = dict[str, tuple[Clip, Clip]]
+"""A true clip and the one that the policy observes instead, by name."""
+
+
+def load_clips(args: TrainArgs) -> list[Clip]:
+    """The clips of ``--motions``, at the data's own statures and, if asked for, proportions."""
+    from questsim.motion.spec import load_motions
+
+    if args.own_proportions and args.proportions:
+        what = "does not go with --own-proportions"
+        raise InputError(what, "--proportions", "give one of them")
+    return load_motions(
+        args.motions,
+        mirrored=args.mirrored,
+        seed=args.seed,
+        own_proportions=args.own_proportions,
+    )
+
+
+def estimate_pairs(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
+    """Pairs of true and observed clips, by name: one per estimate, and the truth itself once.
+
+    Raises:
+        InputError: the stage does not use estimates, or they are not of these clips.
+    """
+    from questsim.motion.retarget import to_clip
+    from questsim.motion.retarget_back import to_motion
+    from questsim.motion.spec import load_motions
+
+    if args.estimates is None:
+        return None
+    if args.stage not in ("student", "finetune"):
+        fix = "add --stage student or finetune"
+        raise InputError(f"does not go with --stage {args.stage}", "--estimates", fix)
+    if args.vary:
+        raise InputError("does not go with --vary", "--estimates", "leave out --vary")
+    if args.mirrored:
+        raise InputError("does not go with --mirrored", "--estimates", "leave out --mirrored")
+    known = {clip.name: clip for clip in clips}
+    pairs: Pairs = {}
+    for estimate in load_motions(args.estimates, seed=args.seed):
+        user = estimated(estimate, known, args.estimates)
+        if known[user].height_m != estimate.height_m:
+            # Estimates are made from recordings, whose stature is measured on their bones.
+            known[user] = to_clip(to_motion(known[user]))
+        name, again = estimate.name, 2
+        while name in pairs:  # the same system with other devices
+            name, again = f"{estimate.name} {again}", again + 1
+        pairs[name] = replace(known[user], name=name), estimate
+        pairs[user] = known[user], known[user]  # train on accurate estimates too
+    return pairs
+
+
+def split_validation(
+    clips: Sequence[Clip], hold_out: str, count: int
+) -> tuple[list[Clip], list[Clip]]:
+    """Clips to learn from, and the fixed set on which checkpoints are compared.
+
+    Args:
+        clips: all clips.
+        hold_out: styles used only for evaluation; without any, the fixed set is a subset of the
+            training clips.
+        count: size of the fixed set.
+
+    Raises:
+        InputError: no such style, or no training clips are left.
+    """
+    learnt, held = without_styles(clips, hold_out)
+    return learnt, choose_clips(held or learnt, count)
+
+
+def validation_clips(args: TrainArgs, count: int) -> list[Clip]:
+    """The clips of ``--validation``, at most ``count``.
+
+    Raises:
+        InputError: another option excludes it.
+    """
+    from questsim.motion.spec import load_motions
+
+    assert args.validation is not None
+    for option, given in (("--hold-out", args.hold_out), ("--estimates", args.estimates)):
+        if given:
+            raise InputError(f"does not go with {option}", "--validation", "leave one out")
+    clips = load_motions(args.validation, seed=args.seed, own_proportions=args.own_proportions)
+    return choose_clips(clips, count)
