@@ -247,6 +247,21 @@ def test_a_teacher_begins_with_another_teachers_weights_and_says_so(clips, tmp_p
         train(replace(begun, out=tmp_path / "e"))
 
 
+def test_a_full_body_student_of_teachers_becomes_a_teacher_with_a_new_critic(clips, tmp_path):
+    train(tiny(tmp_path / "a", stage="teacher"))
+    full_body = (
+        "actor_blocks=[o_sim,o_scale,privileged]",
+        "reference_head=true",
+        "balance=steps",
+        "hidden=[8]",
+    )
+    changed = tuple(f"stages.student.policy.{value}" for value in full_body)
+    train(tiny(tmp_path / "b", stage="student", teacher=tmp_path / "a", set=changed))
+    started = tiny(tmp_path / "c", stage="teacher", start=tmp_path / "b" / "student" / "best")
+    train(replace(started, set=(*started.set, "stages.teacher.policy.hidden=[8]")))
+    assert (tmp_path / "c" / "teacher" / "last" / CRITIC_FILE).exists()
+
+
 @pytest.mark.parametrize(
     ("option", "value"),
     [("threads", 0), ("envs", 0), ("steps", -5), ("minutes", -1.0), ("seed", -1)],

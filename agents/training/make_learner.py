@@ -157,6 +157,9 @@ def _starting_policy(where: Path, env: QuestVecEnv | ActorPool) -> TorquePolicy:
 def _begin_with(policy: TorquePolicy, teacher: Path, body: OwnBody | None) -> None:
     """Copy the networks, critic included, and normalisers of another teacher.
 
+    A policy that imitated teachers has no critic: the new one stays, and learns first
+    (``critic_warmup_steps``).
+
     Raises:
         InputError: there is no such teacher, or its networks differ.
     """
@@ -164,7 +167,8 @@ def _begin_with(policy: TorquePolicy, teacher: Path, body: OwnBody | None) -> No
     loaded = load_policy(folder)
     check_body(loaded.name, loaded.needs.body, body)
     copy_actor(loaded.policy, policy, teacher)
-    load_critic(folder, policy)
+    if loaded.policy.spec.critic_blocks:
+        load_critic(folder, policy)
 
 
 def copy_actor(source: TorquePolicy, target: TorquePolicy, where: Path) -> None:
