@@ -167,7 +167,7 @@ def _begin_with(policy: TorquePolicy, teacher: Path, body: OwnBody | None) -> No
     loaded = load_policy(folder)
     check_body(loaded.name, loaded.needs.body, body)
     copy_actor(loaded.policy, policy, teacher)
-    if loaded.policy.spec.critic_blocks:
+    if loaded.card.get("training", {}).get("stage") != "student":
         load_critic(folder, policy)
 
 
