@@ -12,13 +12,14 @@ an option: ``RewardConfig(NAME=0.1)``, ``train.py --set stages.teacher.reward.NA
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import Field, field, fields, make_dataclass
+from dataclasses import Field, field, fields, make_dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from questsim.errors import InputError
 from questsim.extensions import load_extensions, same_source
+from questsim.skeleton import NUM_DOFS, NUM_LINKS
 
 
 class Moment(NamedTuple):
@@ -239,6 +240,18 @@ class RewardConfig:
 
 PAPER_REWARD = RewardConfig(k_joint_velocities=0.3, k_link_velocities=2.0)
 """The published kernels, on means over joints and links."""
+
+
+def summed(config: RewardConfig) -> RewardConfig:
+    """The same reward with errors summed over joints or links, as published, instead of means.
+
+    A sum is the mean times the number of joints (33) or links (16), so only the k change.
+    """
+    counts = {"joint_angles": NUM_DOFS, "joint_velocities": NUM_DOFS}
+    counts |= dict.fromkeys(("link_positions", "link_velocities", "link_orientations"), NUM_LINKS)
+    return replace(
+        config, **{f"k_{n}": getattr(config, f"k_{n}") * count for n, count in counts.items()}
+    )
 
 
 def extra_terms(config: RewardConfig, moment: Moment) -> np.ndarray:

@@ -10,6 +10,7 @@ import pytest
 import torch
 import yaml
 
+from agents.comparison.ablated import ablated
 from agents.comparison.ablation_report import FILES, Result, differences, table
 from agents.comparison.ablations import AblationsArgs, ablations
 from agents.comparison.report import Row
@@ -39,7 +40,9 @@ from questsim.cli import main
 from questsim.errors import InputError
 from questsim.joint_sensors import readings
 from questsim.motion.library import save_library
+from questsim.motion.retarget import to_clip
 from questsim.motion.retarget_back import to_motion
+from questsim.reward import PAPER_REWARD, TERMS, Moment, Reference, summed
 from questsim.sensors import SENSOR_SETS
 from questsim.skeleton import JOINTS
 from tests.helpers import swaying_clip
@@ -404,7 +407,7 @@ def test_one_command_trains_and_scores_the_full_system_and_all_variants(
     (out / "no-skeleton" / "scores.json").unlink()
     trained = []
     monkeypatch.setattr(
-        "agents.comparison.ablations.train_system", lambda args: trained.append(args.out.name) or 0
+        "agents.comparison.ablated.train_system", lambda args: trained.append(args.out.name) or 0
     )
     for name in FILES:
         (out / name).unlink()
@@ -435,7 +438,7 @@ def test_some_variants_alone_can_be_asked_for_and_the_others_added_later(library
 
 def test_a_stop_during_a_training_leaves_what_can_be_gone_on_with(library, tmp_path, monkeypatch):
     out = tmp_path / "out"
-    monkeypatch.setattr("agents.comparison.ablations.train_system", lambda args: 130)
+    monkeypatch.setattr("agents.comparison.ablated.train_system", lambda args: 130)
     args = arguments("dragposer", library, out)
     assert ablations(args) == 130
     assert not (out / "ablations.md").exists()
@@ -482,3 +485,59 @@ def test_a_difference_is_told_where_both_have_the_figure():
     lines = table(results, "sparseposer", "pooled").splitlines()
     assert lines[2] == "| full | 2.00 | - | - | - | - | - | - | 10 | 1,200 |"
     assert lines[3] == "| less | 3.50 (+1.50) | 4.00 | - | - | 1.00 | - | - | 5 | 1,200 |"
+
+
+def test_questsim_without_its_controllers_is_trained_and_scored_beside_the_whole(
+    library, tmp_path, capsys
+):
+    out = tmp_path / "out"
+    small = ("num_envs=2", "validation_clips=1", "stages.ppo.policy.hidden=[8]",
+             "stages.ppo.learning.rollout_steps=4", "stages.ppo.learning.minibatch=8")  # fmt: skip
+    save_library(library, [MOTION], [to_clip(MOTION)])
+    args = arguments(
+        "questsim", library, out, preset="paper", steps=8, variants=("headset-only",), set=small
+    )
+    assert ablations(args) == 0
+    report = json.loads((out / "ablations.json").read_text())
+    full, headset = report["rows"]
+    assert (full["scenario"], headset["variant"]) == ("from the user's state", "headset-only")
+    assert headset["parameters"] < full["parameters"]  # it observes less
+    assert report["variants"][0]["training"]["ppo"]["steps"] == 8
+    page = (out / "ablations.md").read_text()
+    assert "- `headset-only`: the controllers; `--sensors H`" in page
+    assert "success_percent" in capsys.readouterr().out
+
+
+def test_the_variants_of_questsim_change_the_stages_that_are_trained_by_reward():
+    policies = ablated("questsim")
+    paper = {variant.name: variant for variant in policies.variants("paper")}
+    assert dict(paper["future-0"].args) == {"future_frames": 0}
+    assert policies.preset("paper", paper["no-contact"].set).stages["ppo"].reward.contact == 0.0
+    blocks = policies.preset("paper", paper["no-scale"].set).stages["ppo"].policy.actor_blocks
+    assert blocks == ("o_sim", "o_user")
+    # The teacher of preset cpu has no contact term: the variant adds it.
+    cpu = {variant.name: variant for variant in policies.variants("cpu")}
+    stages = policies.preset("cpu", (*cpu["contact"].set, *cpu["sums"].set)).stages
+    assert stages["teacher"].reward.contact == 0.2
+    assert stages["teacher"].reward.k_link_positions == 16 * 60.0
+    assert stages["student"] == policies.preset("cpu", ()).stages["student"]
+    assert "finetune" not in " ".join(cpu["sums"].set)  # not in the default budget
+
+
+def test_a_reward_of_sums_has_the_published_formula():
+    rng = np.random.default_rng(0)
+    angles, links = rng.normal(0.0, 0.02, (2, 5, 33)), rng.normal(0.0, 0.02, (2, 5, 16, 3))
+    turns = np.zeros((5, 16, 4))
+    reference = Reference(angles[0], angles[0], links[0], links[0], turns)
+    force = np.zeros((5, 2))
+    moment = Moment(angles[1], angles[1], links[1], links[1], turns, force, force,
+                    angles[0], angles[0], reference)  # fmt: skip
+    config = summed(PAPER_REWARD)
+    for name, k, error in (
+        ("joint_angles", 40.0, (angles[1] - angles[0]) ** 2),
+        ("joint_velocities", 0.3, (angles[1] - angles[0]) ** 2),
+        ("link_positions", 6.0, (links[1] - links[0]) ** 2),
+        ("link_velocities", 2.0, (links[1] - links[0]) ** 2),
+    ):
+        found = TERMS[name].function(moment, getattr(config, f"k_{name}"))
+        np.testing.assert_allclose(found, np.exp(-k * error.reshape(5, -1).sum(axis=1)))

@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from agents.comparison import film as comparison_film
+from agents.comparison import worst
 from agents.comparison.compare import FILES as TABLES
 from agents.comparison.compare import compare
 from agents.comparison.film import (
@@ -63,18 +64,21 @@ def scene(lost_after: int | None = None) -> Scene:
 @needs_gl
 def test_a_comparison_is_filmed_beside_its_table(library, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(comparison_film, "SIZE", SMALL)
+    monkeypatch.setattr(worst, "TILE", (60, 80))
     out = tmp_path / "scores"
     args = CompareArgs(
         agents=("ik",), motions=library, out=out, threads=1, max_clips=1,
         video=True, video_clips=("sway",),
     )  # fmt: skip
     assert compare(args) == 0
-    assert {file.name for file in out.iterdir()} == {*TABLES, *FILES}
+    assert {file.name for file in out.iterdir()} == {*TABLES, *FILES, worst.FILE}
     video = iio.imread(out / "comparison.mp4")
     shown = len(range(0, len(to_clip(MOTION)), STRIDE)) + round(0.7 * FPS / STRIDE)
     assert video.shape == (shown, 120, 160, 3)
     with Image.open(out / "comparison.png") as sheet:
         assert sheet.size == (120, 2 * 90)  # two moments, smaller
+    with Image.open(out / worst.FILE) as strip:  # of the one agent
+        assert strip.size == (worst.MOMENTS * 60, worst.HEADER + 80)
     assert "comparison.mp4" in capsys.readouterr().out
 
 
@@ -144,6 +148,13 @@ def test_the_ghost_is_hidden_by_who_does_as_the_user_does():
     assert [figure.look.shirt[3] for figure in film.figures()] == [
         1.0, 1.0, GHOST_OPACITY, 1.0, GHOST_OPACITY,
     ]  # fmt: skip
+
+
+def test_the_last_picture_of_a_lost_agents_strip_is_its_last_frame():
+    user = to_clip(MOTION)
+    lost = clip_from_qpos("sway", user.qpos[:5], user.height_m)
+    assert list(worst.moments(lost, user)) == [0, 1, 2, 2, 3, 4]
+    assert worst.moments(user, user)[-1] == len(user) - 1
 
 
 def test_labels_stand_below_their_figures_and_tell_the_error():

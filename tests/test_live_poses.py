@@ -28,12 +28,13 @@ from agents.live.session import DemoSession
 from agents.live.users import Recordings
 from agents.live.watcher import Watcher, first_checkpoint, load_checkpoint, newest_checkpoint
 from agents.run_folder import RECORD
+from questsim.body import build_body
 from questsim.errors import InputError
 from questsim.motion.clip import FPS
 from questsim.motion.kinematics import link_poses
 from questsim.motion.retarget import to_clip
 from questsim.motion.retarget_back import to_motion
-from questsim.motion.retarget_stream import StreamRetargeter
+from questsim.motion.retarget_stream import StreamRetargeter, _within_limits
 from questsim.sensors import SENSOR_SETS
 from questsim.skeleton import JOINTS, NUM_JOINTS
 from questsim.viewing.live import Settings
@@ -345,3 +346,19 @@ def test_play_waits_for_the_first_checkpoint_and_says_so(tmp_path, monkeypatch, 
     assert [each.folder for each in found] == [tmp_path / "network" / "last"]
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and "no checkpoint yet" in error
+
+
+def test_a_joint_that_leaves_its_range_stays_at_that_end_and_does_not_come_back_at_the_other():
+    low, high = build_body().model.jnt_range[1:].T
+    joint = int((high - low).argmin())
+    out = np.linspace(high[joint] - 0.1, (low + high)[joint] / 2 + 1.2 * np.pi, 12)
+    angles = np.zeros((12, len(low)))
+    # Each pose arrives as Euler angles do: within half a turn.
+    angles[:, joint] = (out + np.pi) % (2 * np.pi) - np.pi
+    whole = _within_limits(angles, None)[:, joint]
+    np.testing.assert_allclose(whole, np.minimum(out, high[joint]))
+    last, streamed = None, []
+    for pose in angles:
+        last = _within_limits(pose[None], last)[0]
+        streamed.append(last[joint])
+    np.testing.assert_array_equal(streamed, whole)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from agents.comparison.ablated import ablated
 from agents.comparison.report import COSTS, Row
-from agents.kinematic.registry import AGENTS
 from questsim.files import whole_file
 
 SCHEMA, SCHEMA_VERSION = "questsim-ablations", 1
@@ -32,6 +32,7 @@ class Result:
         training: by stage, ``steps`` and ``minutes``; the full system's for a variant that differs
             only at run time.
         rows: one per scenario.
+        args: changed options of the training.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Result:
     options: dict[str, Any]
     training: dict[str, dict[str, float]]
     rows: Sequence[Row]
+    args: dict[str, Any] = field(default_factory=dict)
 
 
 def differences(row: Row, full: Row, weighting: str) -> Figures:
@@ -61,7 +63,7 @@ def _by_scenario(results: Sequence[Result]) -> Iterator[tuple[str, list[tuple[Re
 
 def table(results: Sequence[Result], agent: str, weighting: str) -> str:
     """One Markdown table per scenario; differences from the full system are in brackets."""
-    names = AGENTS[agent].figures
+    names = ablated(agent).figures
     lines = []
     for scenario, pairs in _by_scenario(results):
         head = [scenario, *names, "parameters", "steps"]
@@ -144,7 +146,7 @@ def _page(results: Sequence[Result], context: dict[str, Any]) -> str:
     data = context["data"]
     limits = [
         f"{context['minutes']:g} minutes" if context["minutes"] is not None else "",
-        f"{context['steps']:,} gradient steps a stage" if context["steps"] is not None else "",
+        f"{context['steps']:,} steps a stage" if context["steps"] is not None else "",
     ]
     budget = ", at most ".join(limit for limit in limits if limit)
     lines = [
@@ -157,7 +159,8 @@ def _page(results: Sequence[Result], context: dict[str, Any]) -> str:
         "",
     ]
     for result in results[1:]:
-        how = [f"`--set {value}`" for value in result.set]
+        how = [f"`--{name.replace('_', '-')} {value}`" for name, value in result.args.items()]
+        how += [f"`--set {value}`" for value in result.set]
         told = [f"`{name}={value}`" for name, value in result.options.items()]
         how += [f"{option} at run time, the full system's weights" for option in told]
         lines.append(f"- `{result.name}`: {result.what}; {', '.join(how)}")

@@ -1,4 +1,4 @@
-"""Ablations: compare a kinematic system with variants that lack one part each.
+"""Ablations: compare a kinematic system, or QuestSim, with variants that lack one part each.
 
 ``questsim ablations --agent SYSTEM --motions bandai-namco-2:train --test bandai-namco-2:test
 --minutes 3 --out DIR`` trains the full system and every variant in its registry entry, one after
@@ -19,19 +19,12 @@ from typing import Literal
 
 import torch
 
+from agents.comparison.ablated import ablated
 from agents.comparison.ablation_report import Result, table, write
 from agents.comparison.compare import at_sensor_rate
-from agents.comparison.costs import run
 from agents.comparison.report import Row
-from agents.comparison.scenarios import scenarios
 from agents.kinematic.data import motions_record
-from agents.kinematic.learning import Config
-from agents.kinematic.options import TrainSystemArgs
-from agents.kinematic.registry import AGENTS
 from agents.kinematic.scenario import Variant
-from agents.kinematic.store import CARD_FILE, load_system, read_system_card
-from agents.kinematic.training import train_system
-from agents.overrides import with_overrides
 from agents.run_folder import (
     RECORD,
     check_same_run,
@@ -55,10 +48,10 @@ MAY_DIFFER_ON_RESUME = {"resume", "out", "threads", "variants", "workers", "ray"
 
 @dataclass(frozen=True)
 class AblationsArgs:
-    """Train a kinematic system and variants that lack one part each, and compare them."""
+    """Train a system, or QuestSim, and variants that lack one part each, and compare them."""
 
     agent: str = ""
-    """A kinematic system with variants; see questsim agents."""
+    """A kinematic system with variants, or questsim for the torque policy."""
     motions: str = "synthetic"
     """Motions to learn: synthetic, a dataset (bandai-namco-2:train), a library, file or folder."""
     test: str = "synthetic"
@@ -104,7 +97,7 @@ def ablations(args: AblationsArgs) -> int:
     if args.resume:
         check_same_run(read_run(out), args, data, MAY_DIFFER_ON_RESUME, out)
     else:
-        start_run(out, args, AGENTS[args.agent].presets[args.preset], data)
+        start_run(out, args, ablated(args.agent).preset(args.preset, ()), data)
     results = []
     try:
         _on_workers(args, variants, out, motions)
@@ -124,7 +117,7 @@ def ablations(args: AblationsArgs) -> int:
                 return code
             torch.set_num_threads(args.threads)
             _score(args, variant, out, motions)
-        results.append(_result(variant, out))
+        results.append(_result(args.agent, variant, out))
     context = {
         "agent": args.agent,
         "preset": args.preset,
@@ -145,13 +138,7 @@ def ablations(args: AblationsArgs) -> int:
 
 def _checked(args: AblationsArgs) -> tuple[Path, list[Variant]]:
     """The folder, and the full system with the requested variants."""
-    with_variants = [name for name, entry in AGENTS.items() if entry.variants]
-    if args.agent not in with_variants:
-        raise InputError(
-            f"there are no ablations of {args.agent!r}",
-            "--agent",
-            f"use {', '.join(with_variants)}",
-        )
+    family = ablated(args.agent)
     if args.out is None:
         raise InputError("is missing", "--out", "add --out DIR")
     if args.minutes is None and args.steps is None:
@@ -160,7 +147,7 @@ def _checked(args: AblationsArgs) -> tuple[Path, list[Variant]]:
         raise InputError(f"is {args.minutes:g}, not above 0", "--minutes")
     at_least(1, steps=args.steps, threads=args.threads, max_clips=args.max_clips)
     at_least(0, seed=args.seed)
-    known = {variant.name: variant for variant in AGENTS[args.agent].variants}
+    known = {variant.name: variant for variant in family.variants(args.preset)}
     for name in args.variants:
         if name not in known:
             raise InputError(f"there is no {name!r}", "--variants", f"known: {', '.join(known)}")
@@ -169,35 +156,24 @@ def _checked(args: AblationsArgs) -> tuple[Path, list[Variant]]:
     full = Variant(FULL, "the whole system")
     variants = [full, *(v for v in known.values() if not args.variants or v.name in args.variants)]
     for variant in variants:
-        _config(args, variant)
+        family.preset(args.preset, (*args.set, *variant.set))
     return args.out, variants
-
-
-def _config(args: AblationsArgs, variant: Variant) -> Config:
-    """The variant's preset.
-
-    Raises:
-        InputError: a value of ``--set`` does not fit.
-    """
-    return with_overrides(AGENTS[args.agent].presets[args.preset], (*args.set, *variant.set))
 
 
 def _train(args: AblationsArgs, variant: Variant, folder: Path) -> int:
     print(f"{variant.name}: {variant.what}")
-    return train_system(
-        TrainSystemArgs(
-            out=folder,
-            agent=args.agent,
-            motions=args.motions,
-            preset=args.preset,
-            minutes=args.minutes,
-            steps=args.steps,
-            resume=(folder / RECORD).exists(),
-            threads=args.threads,
-            seed=args.seed,
-            set=(*args.set, *variant.set),
-        )
-    )
+    shared = {
+        "out": folder,
+        "motions": args.motions,
+        "preset": args.preset,
+        "minutes": args.minutes,
+        "steps": args.steps,
+        "resume": (folder / RECORD).exists(),
+        "threads": args.threads,
+        "seed": args.seed,
+        "set": (*args.set, *variant.set),
+    }
+    return ablated(args.agent).train(shared, variant)
 
 
 def _on_workers(
@@ -239,19 +215,16 @@ def _leave_nothing(out: Path, there: bool) -> None:
 
 def _score(args: AblationsArgs, variant: Variant, out: Path, motions: Sequence[Motion]) -> None:
     """Reconstruct all motions and write the rows into the variant's folder."""
-    weights = str(out / (FULL if variant.options else variant.name))
-    rows = []
-    for scenario in scenarios(load_system(weights)):
-        if scenario.name in AGENTS[args.agent].ablated_in:
-            given = replace(scenario, options=(*scenario.options, *variant.options))
-            rows.append(replace(run(weights, given, motions, args.seed), agent=variant.name))
+    weights = out / (FULL if variant.options else variant.name)
+    found = ablated(args.agent).score(weights, variant, motions, args.seed)
+    rows = [replace(row, agent=variant.name) for row in found]
     folder = out / variant.name
     folder.mkdir(exist_ok=True)
     with whole_file(folder / SCORES) as path:
         path.write_text(json.dumps([vars(row) for row in rows], indent=1) + "\n", encoding="utf-8")
 
 
-def _result(variant: Variant, out: Path) -> Result:
+def _result(agent: str, variant: Variant, out: Path) -> Result:
     """Read the results written by ``_score`` and by the training.
 
     Raises:
@@ -263,8 +236,8 @@ def _result(variant: Variant, out: Path) -> Result:
     except (ValueError, TypeError) as error:
         raise InputError("is damaged", path, "remove it and resume") from error
     run_folder = out / (FULL if variant.options else variant.name)
-    training = {}
-    for card in sorted(run_folder.glob(f"*/last/{CARD_FILE}")):
-        told = read_system_card(card.parent)["training"]
-        training[told["stage"]] = {"steps": told["steps"], "minutes": told["minutes"]}
-    return Result(variant.name, variant.what, variant.set, dict(variant.options), training, rows)
+    training = ablated(agent).trained(run_folder)
+    return Result(
+        variant.name, variant.what, variant.set, dict(variant.options), training, rows,
+        dict(variant.args),
+    )  # fmt: skip

@@ -29,8 +29,6 @@ CALIBRATED_S = 1.0
 """Seconds after which an estimated body is taken as the avatar's."""
 STATURE_STEP_M = 0.01
 """Statures of avatars of estimated bodies are whole centimetres."""
-SETTLED = 3
-"""Frame whose velocity the first estimate gets; before, a recurrent system is still settling."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +71,8 @@ def follow(shown: Sequence[Shown], start: Start, threads: int = 1) -> list[Rollo
 
     Args:
         shown: the estimates.
-        start: see ``conditions.Start``. From the user's state, the shown motion blends from it to
-            the estimate (``begun_as``); from the others it is the estimate itself.
+        start: see ``conditions.Start``. From the user's state or the first estimate, the shown
+            motion blends from it to the estimates (``begun_as``); standing, it is the estimates.
         threads: physics threads.
     """
     tracker, truths = load_agent(TRACKER), [each.truth for each in shown]
@@ -83,12 +81,7 @@ def follow(shown: Sequence[Shown], start: Start, threads: int = 1) -> list[Rollo
     if start == "user":
         clips = [begun_as(clip, truth) for clip, truth in zip(clips, truths, strict=True)]
     if start == "estimate":
-        begin_at = {clip.name: _settled(clip) for clip in clips}
+        begin_at = {clip.name: clip for clip in clips}
+        clips = [begun_as(clip, clip) for clip in clips]
     config = replace(env_config(tracker), starts=starts_of(start))
     return roll_out(tracker, truths, config, threads, shown=clips, begin_at=begin_at)
-
-
-def _settled(clip: Clip) -> Clip:
-    velocity = clip.qvel.copy()
-    velocity[0] = velocity[min(SETTLED, len(velocity) - 1)]
-    return replace(clip, qvel=velocity)

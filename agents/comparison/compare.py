@@ -15,7 +15,7 @@ from typing import Any
 
 from agents.comparison.conditions import NOISES
 from agents.comparison.costs import plan_costs
-from agents.comparison.drawn import DRAWN, Scored
+from agents.comparison.drawn import DRAWN, Scored, compared
 from agents.comparison.options import CompareArgs
 from agents.comparison.plots import plot_accuracy, plot_plausibility
 from agents.comparison.record import FILE as RECORD_FILE
@@ -109,8 +109,10 @@ def compare(args: CompareArgs) -> int:
     print(f"written to {out}")
     if filmed:
         from agents.comparison.film import film
+        from agents.comparison.worst import worst_strips
 
-        film(args.agents or representative(planned), filmed, out, args.threads)
+        if film(args.agents or representative(planned), filmed, out, args.threads):
+            worst_strips([row for row, _ in compared(scored)], recordings, out, args.threads)
     return 0
 
 

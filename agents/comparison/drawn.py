@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from agents.comparison.plots import KINDS, kind_of
 from agents.comparison.report import RECORDING, Row
@@ -17,6 +20,8 @@ from agents.comparison.summary import (
     SPREAD_BINS,
     Summary,
 )
+from agents.kinematic.scenario import SIX_TRACKERS
+from agents.resolve import base_of
 from questsim.plots import figure_file
 from questsim.skeleton import JOINT_PARENTS, JOINTS
 
@@ -30,99 +35,142 @@ _STANDING: dict[str, tuple[float, float]] = {
     "elbow": (0.33, 1.15), "wrist": (0.44, 0.90),
 }  # fmt: skip
 """Where joints are drawn: the left side in metres, seen from the front."""
+SMOOTH_BINS = 3
+"""Bins of time over which the error over time is averaged."""
 
 
-def _compared(scored: Sequence[Scored]) -> list[Scored]:
-    """One row of each agent: its first one, with physics the first one with physics."""
+def compared(scored: Sequence[Scored]) -> list[Scored]:
+    """One row of each agent: with six trackers if it has one, otherwise the first; no noise."""
     found: dict[str, Scored] = {}
     for row, clips in scored:
-        if row.agent == RECORDING or row.scenario.endswith("no physics"):
+        if row.agent == RECORDING or row.scenario.endswith(", no physics"):
             continue
-        found.setdefault(row.agent, (row, clips))
+        if ", noise: " in row.scenario:
+            continue
+        if row.agent not in found or row.scenario == SIX_TRACKERS[0].name:
+            found[row.agent] = (row, clips)
     return list(found.values())
-
-
-_LINES = dict(zip(KINDS, ("-", "--", ":"), strict=True))
-"""Line styles by kind of row."""
 
 
 def _label(row: Row) -> str:
     return f"{Path(row.agent).name}, {row.scenario}"
 
 
+def _panels(
+    figure: Figure, chosen: Sequence[Scored], below: str
+) -> Iterator[tuple[Axes, list[_Line]]]:
+    """Two panels with one scale: kinematic systems, and everything that is simulated.
+
+    A system with physics has the colour of the system; ``below`` is the label of the x axis.
+    """
+    first = next(iter(KINDS))
+    parts = [[r for r in chosen if (kind_of(r[0]) == first) is plain] for plain in (True, False)]
+    names = list(dict.fromkeys(base_of(row.agent) or row.agent for row, _ in chosen))
+    axes = figure.subplots(2, 1, sharex=True, sharey=True)
+    for axis, title, part in zip(axes, ("Kinematic", "Simulated"), parts, strict=True):
+        colours = [names.index(base_of(row.agent) or row.agent) for row, _ in part]
+        axis.set_title(title)
+        yield axis, [_Line(*each, f"C{c}") for each, c in zip(part, colours, strict=True)]
+        if axis.lines:
+            axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=7)
+    axes[-1].set_xlabel(below)
+    axes[-1].set_ylim(bottom=0.0)
+
+
+class _Line(NamedTuple):
+    row: Row
+    clips: list[Summary]
+    colour: str
+
+    @property
+    def style(self) -> dict[str, Any]:
+        """Colour, dashes of policies, and label."""
+        policy = kind_of(self.row) == "policy"
+        return {"color": self.colour, "ls": ":" if policy else "-", "label": _label(self.row)}
+
+
 def error_over_time(scored: Sequence[Scored], path: Path) -> None:
-    """Mean joint error by time since the start of the clip."""
-    with figure_file(path, 8.0, 4.5) as figure:
-        axis = figure.subplots()
-        for row, clips in _compared(scored):
-            curves = [clip.curve for clip in clips if clip.curve]
-            if not curves:
-                continue
-            sums, counts = np.sum(curves, axis=0)[: CURVE_BINS - 1].T
-            with np.errstate(invalid="ignore"):
-                times, style = np.arange(len(sums)) * CURVE_BIN_S, _LINES[kind_of(row)]
-                axis.plot(times, sums / counts, style, label=_label(row))
-        axis.set_xlabel("Time since the start of the clip (s)")
-        axis.set_ylabel("MPJPE (cm)")
-        axis.set_ylim(bottom=0.0)
-        figure.legend(loc="outside right upper", fontsize=7)
+    """Mean joint error by time since the start of the clip, over windows of ``SMOOTH_BINS``.
+
+    Windows with less than a third of the clips are left out: there one clip decides.
+    """
+    window = np.ones(SMOOTH_BINS)
+    below = "Time since the start of the clip (s)"
+    with figure_file(path, 8.0, 6.5) as figure:
+        for axis, lines in _panels(figure, compared(scored), below):
+            for line in lines:
+                curves = [
+                    np.array(clip.curve)[: CURVE_BINS - 1] for clip in line.clips if clip.curve
+                ]
+                if not curves:
+                    continue
+                there = np.sum([curve[:, 1] > 0 for curve in curves], axis=0)
+                sums, counts = (np.convolve(a, window, "same") for a in np.sum(curves, axis=0).T)
+                enough = 3 * there >= len(curves)
+                times = (np.flatnonzero(enough) + 0.5) * CURVE_BIN_S
+                axis.plot(times, sums[enough] / counts[enough], **line.style)
+            axis.set_ylabel("MPJPE (cm)")
 
 
 def error_distribution(scored: Sequence[Scored], path: Path) -> None:
     """Share of frames whose mean joint error is at most a given one."""
-    with figure_file(path, 8.0, 4.5) as figure:
-        axis = figure.subplots()
-        edges = (np.arange(SPREAD_BINS - 1) + 1) * SPREAD_BIN_CM
-        for row, clips in _compared(scored):
-            counts = np.zeros(SPREAD_BINS)
-            for clip in clips:
-                for at, count in clip.spread:
-                    counts[at] += count
-            if counts.sum():
-                share = counts.cumsum()[:-1] / counts.sum()
-                axis.plot(edges, 100.0 * share, _LINES[kind_of(row)], label=_label(row))
-        axis.set_xlabel("MPJPE of a frame, at most (cm)")
-        axis.set_ylabel("Frames (%)")
-        axis.set_xlim(0.0, 12.0)
-        axis.set_ylim(0.0, 100.0)
-        figure.legend(loc="outside right upper", fontsize=7)
+    edges = (np.arange(SPREAD_BINS - 1) + 1) * SPREAD_BIN_CM
+    below = "MPJPE of a frame, at most (cm)"
+    with figure_file(path, 8.0, 6.5) as figure:
+        for axis, lines in _panels(figure, compared(scored), below):
+            for line in lines:
+                counts = np.zeros(SPREAD_BINS)
+                for clip in line.clips:
+                    for at, count in clip.spread:
+                        counts[at] += count
+                if counts.sum():
+                    axis.plot(edges, 100.0 * counts.cumsum()[:-1] / counts.sum(), **line.style)
+            axis.set_ylabel("Frames (%)")
+            axis.set_xlim(0.0, 12.0)
+            axis.set_ylim(0.0, 100.0)
 
 
 def skating_and_accuracy(scored: Sequence[Scored], path: Path) -> None:
-    """Skating against joint error: one dot for each agent."""
-    with figure_file(path, 7.0, 4.8) as figure:
-        axis, seen, found = figure.subplots(), set(), []
-        for row, _ in _compared(scored):
+    """Skating against joint error: a dot for each agent.
+
+    A line leads from each system to the same with physics, which is scored on the avatar's frames.
+    """
+    with figure_file(path, 8.0, 5.0) as figure:
+        axis, places = figure.subplots(), {}
+        for row, _ in compared(scored):
             x, y = row.pooled.get("mpjpe_cm"), row.pooled.get("foot_skate_cm_s")
-            if x is None or y is None:
-                continue
+            if x is not None and y is not None:
+                places[row.agent] = (x, y, row)
+        for x, y, row in places.values():
             kind = kind_of(row)
-            axis.scatter(x, y, color=KINDS[kind], label=None if kind in seen else kind, zorder=3)
-            found.append((y, x, _label(row)))
-            seen.add(kind)
-        # Labels in a column at the right, in the order of their dots, so that none overlap.
-        lowest = -np.inf
-        most = max((y for y, _, _ in found), default=1.0)
-        right = 1.08 * max((x for _, x, _ in found), default=1.0)
-        for y, x, label in sorted(found):
-            lowest = max(y, lowest + 0.045 * most)
-            axis.annotate(
-                label, (x, y), (right, lowest), va="center", fontsize=7, annotation_clip=False,
-                arrowprops={"arrowstyle": "-", "color": "0.8", "linewidth": 0.6},
-            )  # fmt: skip
+            axis.scatter(x, y, color=KINDS[kind], zorder=3)
+            plain = places.get(base_of(row.agent) or "")
+            if plain is not None:
+                axis.plot([plain[0], x], [plain[1], y], color="0.8", linewidth=0.8, zorder=1)
+        _name_dots(axis, [(x, y, _label(row)) for x, y, row in places.values()])
         axis.set_xlabel("MPJPE (cm)")
         axis.set_ylabel("Foot skate (cm/s)")
         axis.set_xlim(left=0.0)
         axis.set_ylim(bottom=0.0)
-        axis.set_xlim(right=1.45 * right / 1.08)
-        if seen:
-            figure.legend(loc="outside upper right", ncols=len(seen), fontsize=8)
+        kinds = list(dict.fromkeys(kind_of(row) for _, _, row in places.values()))
+        dots = [Line2D([], [], ls="", marker="o", color=KINDS[kind], label=kind) for kind in kinds]
+        if dots:
+            figure.legend(handles=dots, loc="outside upper right", ncols=len(dots), fontsize=8)
+
+
+def _name_dots(axis: Axes, dots: Sequence[tuple[float, float, str]]) -> None:
+    """Numbers at the dots and their names at the right, so that no names overlap."""
+    lines = []
+    for number, (x, y, name) in enumerate(dots, start=1):
+        axis.annotate(str(number), (x, y), (4, 4), textcoords="offset points", fontsize=7)
+        lines.append(f"{number:>2}  {name}: {x:.1f} cm, {y:.1f} cm/s")
+    axis.annotate("\n".join(lines), (1.02, 1.0), xycoords="axes fraction", va="top", fontsize=7)
 
 
 def error_by_joint(scored: Sequence[Scored], path: Path) -> None:
     """Mean error of each joint on a standing body, a body for each agent, one scale for all."""
     found = []
-    for row, clips in _compared(scored):
+    for row, clips in compared(scored):
         frames = sum(clip.frames for clip in clips)
         if frames:
             sums = np.sum([clip.joints for clip in clips if clip.frames], axis=0)

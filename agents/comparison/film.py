@@ -16,15 +16,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from agents.comparison.behind import follow, shown_of
+from agents.comparison.conditions import starts_of
 from agents.comparison.plots import KINDS
-from agents.comparison.run import reconstructed, suiting
+from agents.comparison.run import reconstructed_all, suiting
 from agents.comparison.scenarios import Scenario
 from agents.evaluation.rollout import env_config, roll_out
-from agents.kinematic.physics_behind import (
-    follow_poses,
-    performed,
-    reference_of,
-)
+from agents.kinematic.first_answers import first_answers
+from agents.kinematic.physics_behind import performed
 from agents.kinematic.without_physics import over_users_floor
 from agents.loading import load_agent
 from agents.resolve import base_of, resolve
@@ -37,7 +36,8 @@ from questsim.motion.motion import Motion
 from questsim.motion.retarget import to_clip
 from questsim.plots import GREEN
 from questsim.sensors import SENSOR_SETS
-from questsim.viewing.camera import Camera, follow, three_quarter_azimuth
+from questsim.viewing.camera import Camera, three_quarter_azimuth
+from questsim.viewing.camera import follow as followed
 from questsim.viewing.captions import Label, caption, labelled
 from questsim.viewing.costume import AVATAR, REFERENCE, Look
 from questsim.viewing.films import named, one_of_each_kind, title
@@ -118,8 +118,10 @@ def film(
     motions: Sequence[Motion],
     out: Path,
     threads: int,
-) -> None:
+) -> bool:
     """Write ``FILES``, or print one line saying why they could not be written.
+
+    Returns whether they are written.
 
     Args:
         agents: as in ``comparison.compare``.
@@ -129,7 +131,7 @@ def film(
     """
     if not find_gl():
         print(f"video skipped: {missing_gl()}", file=sys.stderr)
-        return
+        return False
     parts = [parts_of(agent, motions, threads) for agent in agents]
     scenes = [
         Scene([_user(motion), *(of_clip[i] for of_clip in parts)], SIZE)
@@ -141,8 +143,9 @@ def film(
             sheet(scenes).save(path, "PNG", optimize=True)
     except NoGLError as error:
         print(f"video skipped: {error}", file=sys.stderr)
-        return
+        return False
     print(f"written to {out / VIDEO} and {out / SHEET}")
+    return True
 
 
 def to_be_filmed(motions: Sequence[Motion], names: Sequence[str]) -> list[Motion]:
@@ -165,26 +168,36 @@ def _user(motion: Motion) -> FilmFigure:
     return FilmFigure("user", "the motion itself", "", to_clip(motion))
 
 
-def parts_of(agent: str, motions: Sequence[Motion], threads: int) -> list[FilmFigure]:
-    """An agent's result on each motion in one scenario, see ``_shown``."""
+def parts_of(
+    agent: str, motions: Sequence[Motion], threads: int, scenario: Scenario | None = None
+) -> list[FilmFigure]:
+    """An agent's result on each motion, as the comparison computes it.
+
+    Avatars with physics start in the system's own first estimate, policies in HMD-Poser's.
+
+    Args:
+        agent, motions, threads: see ``film``.
+        scenario: of the agent; by default see ``shown_scenario``.
+    """
     kinematic, physics, policy = KINDS
     if resolve(agent).torques:
         loaded = load_agent(agent)
         clips = [to_clip(motion) for motion in motions]
-        rollouts = roll_out(loaded, clips, env_config(loaded), threads)
+        config = replace(env_config(loaded), starts=starts_of("estimate"))
+        rollouts = roll_out(loaded, clips, config, threads, begin_at=first_answers(clips))
         told = _told(SENSOR_SETS[loaded.needs.sensors])
         return [FilmFigure(agent, told, policy, performed(rollout)) for rollout in rollouts]
-    scenario = _shown(suiting(agent, None))
+    scenario = scenario or shown_scenario(suiting(agent, None))
     base = base_of(agent) or agent
-    poses = [reconstructed((base, scenario, motion, 0, None)) for motion in motions]
+    poses = reconstructed_all([(base, scenario, motion, 0, None) for motion in motions])
     told, pairs = _told(scenario.devices), list(zip(poses, motions, strict=True))
     if base_of(agent) is None:
         return [FilmFigure(agent, told, kinematic, over_users_floor(p, m)) for p, m in pairs]
-    rollouts = follow_poses([reference_of(p, m) for p, m in pairs], motions, threads)
+    rollouts = follow([shown_of(p, m) for p, m in pairs], "estimate", threads)
     return [FilmFigure(agent, told, physics, performed(rollout)) for rollout in rollouts]
 
 
-def _shown(found: Sequence[Scenario]) -> Scenario:
+def shown_scenario(found: Sequence[Scenario]) -> Scenario:
     """The scenario with six trackers, otherwise the first."""
     return next((scenario for scenario in found if scenario.name == "6"), found[0])
 
@@ -242,7 +255,7 @@ class Scene:
             position = np.concatenate([part.clip.link_position, user.link_position[there:]])
             quat = np.concatenate([part.clip.link_quat, user.link_quat[there:]])
             points.append(outline_points(position, quat, height)[: self.frames] + offset)
-        cameras = follow(
+        cameras = followed(
             np.concatenate(points, axis=1),
             user.qpos[: self.frames, :3] + self.offsets.mean(axis=0),
             azimuth,
@@ -264,7 +277,7 @@ class Scene:
         ghost = Figure(height, REFERENCE.faded(GHOST_OPACITY), devices=False)
         figures = [Figure(height, REFERENCE)]
         for part in self.parts[1:]:
-            figures += [Figure(height, _look(part.kind), devices=False), ghost]
+            figures += [Figure(part.clip.height_m, look_of(part.kind), devices=False), ghost]
         return figures
 
     def poses(self, frame: int) -> list[np.ndarray]:
@@ -288,7 +301,7 @@ class Scene:
             lost = frame >= len(errors)
             state = f"lost at {len(errors) / FPS:.1f} s" if lost else f"{errors[frame]:.1f} cm"
             lines = (Path(part.name).name, part.told, state if part.kind else "")
-            labels.append(Label(x, lines, _colour(part.kind), lost))
+            labels.append(Label(x, lines, colour_of(part.kind), lost))
         return labels
 
 
@@ -298,7 +311,8 @@ def _moved(qpos: np.ndarray, offset: np.ndarray) -> np.ndarray:
     return moved
 
 
-def _colour(kind: str) -> tuple[int, int, int]:
+def colour_of(kind: str) -> tuple[int, int, int]:
+    """Red, green and blue, 0 to 255, of the shirt of a kind of agent; the user's for none."""
     if not kind:
         red, green, blue = (round(255 * part) for part in REFERENCE.shirt[:3])
         return red, green, blue
@@ -306,8 +320,9 @@ def _colour(kind: str) -> tuple[int, int, int]:
     return red, green, blue
 
 
-def _look(kind: str) -> Look:
-    red, green, blue = (part / 255.0 for part in _colour(kind))
+def look_of(kind: str) -> Look:
+    """The avatar with the shirt of a kind of agent."""
+    red, green, blue = (part / 255.0 for part in colour_of(kind))
     return replace(AVATAR, shirt=(red, green, blue, 1.0))
 
 

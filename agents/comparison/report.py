@@ -11,13 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from agents.comparison.summary import CURVE_OF, Summary
+from agents.comparison.summary import CURVE_BIN_S, CURVE_OF, Summary
 from agents.kinematic.entry import HEADS_ALIGNED, ROOTS_ALIGNED
 from questsim.files import whole_file
 from questsim.statistics import interval
 
 SCHEMA, SCHEMA_VERSION = "questsim-comparison", 3
 WEIGHTINGS = ("equal", "pooled")
+COURSE_BINS = round(5.0 / CURVE_BIN_S)
+"""Bins of ``Row.course_cm``."""
 RECORDING = "recording"
 """Name of the row for the motions themselves."""
 
@@ -51,6 +53,7 @@ class Row:
         clips: number of clips.
         worst, worst_cm: the clip with the greatest mean joint error (MPJPE), and that error.
         low, high: 95 % bootstrap interval of ``pooled`` over clips; none for fewer than 11 clips.
+        course_cm: mean MPJPE of each tenth of a second since the start, up to five seconds.
     """
 
     agent: str
@@ -67,6 +70,7 @@ class Row:
     clips: int = 0
     worst: str = ""
     worst_cm: float | None = None
+    course_cm: list[float] = field(default_factory=list)
 
     def figures(self, weighting: str) -> dict[str, float | None]:
         """The figures under a weighting in ``WEIGHTINGS``."""
@@ -92,7 +96,7 @@ def row_of(
     worst = max(zip(errors, clips or [""], strict=False), default=(0.0, ""))
     row = Row(
         agent, scenario, costs.parameters, {}, {}, costs.ms, costs.mmac, costs.stream_kib,
-        clips=len(scored), worst=worst[1], worst_cm=worst[0],
+        clips=len(scored), worst=worst[1], worst_cm=worst[0], course_cm=_course(scored),
     )  # fmt: skip
     for name in dict.fromkeys(name for summary in scored for name in summary.figures):
         sums = np.array([s.figures[name] for s in scored if name in s.figures])
@@ -104,6 +108,14 @@ def row_of(
         if ends is not None:
             row.low[name], row.high[name] = ends
     return row
+
+
+def _course(scored: Sequence[Summary]) -> list[float]:
+    curves = [summary.curve[:COURSE_BINS] for summary in scored if summary.curve]
+    if not curves:
+        return []
+    sums, counts = np.sum(curves, axis=0).T
+    return [round(float(a / n), 4) for a, n in zip(sums, counts, strict=True) if n]
 
 
 LABELS: dict[str, str] = {

@@ -209,7 +209,7 @@ def compute(
     if whole:
         done = mapper(_whole_chunk, [(plan, chunk) for chunk in chunks])
     else:
-        done = (_simulated(plan, chunk, threads, mapper, kept) for chunk in chunks)
+        done = (simulated(plan, chunk, threads, mapper, kept) for chunk in chunks)
     for part, rows in zip(parts, done, strict=True):
         for row, summaries in rows:
             for i, summary in zip(part, summaries, strict=True):
@@ -217,9 +217,16 @@ def compute(
         yield len(part)
 
 
-def _simulated(
+def simulated(
     plan: Plan, jobs: Sequence[Job], threads: int, mapper: Mapper, kept: dict[str, Poses]
 ) -> Scored:
+    """Rows of a policy or of a system with physics: name and sums of each clip.
+
+    Args:
+        plan, jobs: of the rows; physics runs all jobs together.
+        threads, mapper: see ``workers``.
+        kept: known estimates by the name of their motion; gets the others.
+    """
     if base_of(plan.agent) is None:
         return _policy(plan, jobs, threads, mapper)
     return _behind(plan, jobs, threads, mapper, _all_poses(jobs, mapper, kept))
@@ -227,7 +234,7 @@ def _simulated(
 
 def _whole_chunk(job: tuple[Plan, Sequence[Job]]) -> list[tuple[str, list[Summary]]]:
     plan, chunk = job
-    return list(_simulated(plan, chunk, 1, map, {}))
+    return list(simulated(plan, chunk, 1, map, {}))
 
 
 def _parts(jobs: Sequence[Job]) -> Iterator[list[Job]]:

@@ -87,15 +87,15 @@ def follow_poses(
 
 
 def begun_as(estimate: Clip, truth: Clip) -> Clip:
-    """An estimate that starts in the user's first state, like the episodes of every agent.
+    """An estimate that starts in the first state of another clip, in which the avatar starts.
 
     A system's first estimates, made without past frames, are inaccurate and change quickly, which
-    misleads the tracker. Over ``BEGINNING_FRAMES`` the result therefore blends from the user's
-    first pose, extrapolated at its velocity, to the estimate. Only the user's first state is used.
+    misleads the tracker. Over ``BEGINNING_FRAMES`` the result therefore blends from that state's
+    pose, extrapolated at its velocity, to the estimate. Only the first state is used.
 
     Args:
         estimate: the estimate to follow.
-        truth: the user's motion.
+        truth: the user's motion; the estimate itself if the avatar starts in its first state.
     """
     count = min(BEGINNING_FRAMES, len(estimate))
     model = build_body(estimate.height_m).model

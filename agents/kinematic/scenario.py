@@ -76,9 +76,11 @@ class Variant:
         what: the removed part, and the source of the ablation.
         set: changed values of the preset, as in ``--set``.
         options: options of ``load_system``, for a variant that uses the full system's weights.
+        args: changed options of its training.
     """
 
     name: str
     what: str
     set: tuple[str, ...] = ()
     options: tuple[tuple[str, Any], ...] = ()
+    args: tuple[tuple[str, Any], ...] = ()

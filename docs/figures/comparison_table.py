@@ -3,8 +3,8 @@
     python -m docs.figures.comparison_table [--write] [scores/comparison.json]
 
 Prints the tables of the kept report beside the shipped weights, or of the named one. ``--write``
-replaces those in the pages: between ``<!-- comparison: short -->``, or ``full``, and
-``<!-- end -->``.
+replaces those in the pages: between ``<!-- comparison: short -->`` and ``<!-- end -->``; the others
+are ``full``, ``noise``, ``starts`` and ``course``.
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import get_args
 
-from agents.comparison.report import COSTS, TABLES, Row, table
+from agents.comparison.conditions import NOISES, Start, called
+from agents.comparison.report import COSTS, LABELS, RECORDING, TABLES, Row, table
 from agents.resolve import base_of
 from agents.shipping.cards import SOURCE
 from questsim.cli import guarded
@@ -28,7 +30,12 @@ SHORT_SCENARIOS = ("60 Hz", "6", "4", "HMD", "HMD+3IMU", "H")
 NOT_SHORT = ("lgsik-lengths", "questsim-now")
 DOCS = Path(__file__).parents[1]
 PAGES = (DOCS / "comparison.md", DOCS / "results.md")
-_PLACE = re.compile(r"(<!-- comparison: (short|full) -->\n).*?(<!-- end -->)", re.DOTALL)
+NOISE_NAMES = ("mpjpe_cm", "jitter_100_m_s3", "foot_skate_cm_s", "success_percent")
+COURSE_AT = (0, 1, 2, 3, 5, 6, 10, 20, 40)
+"""Tenths of a second in the table of the course; 40 frames are 0.67 s."""
+_PLACE = re.compile(
+    r"(<!-- comparison: (short|full|noise|starts|course) -->\n).*?(<!-- end -->)", re.DOTALL
+)
 
 
 def main() -> None:
@@ -53,22 +60,88 @@ def rows_of(report: Path) -> list[Row]:
 
 def written(page: Path, rows: Sequence[Row]) -> str:
     """The text of a page with the tables of the rows in their places."""
-    tables = {"short": short(rows), "full": full(rows)}
+    made = {"short": short, "full": full, "noise": noise, "starts": starts, "course": course}
+    tables = {name: make(rows) for name, make in made.items()}
     text = page.read_text(encoding="utf-8")
     return _PLACE.sub(lambda m: f"{m[1]}\n{tables[m[2]]}\n\n{m[3]}", text)
 
 
+def usual(rows: Sequence[Row]) -> list[Row]:
+    """The rows with exact signals, physics from the own estimate."""
+    return [
+        row for row in rows if ", noise: " not in row.scenario and ", from " not in row.scenario
+    ]
+
+
 def short(rows: Sequence[Row]) -> str:
     """One scenario or two of each agent, and few figures."""
-    chosen = [row for row in rows if row.scenario in SHORT_SCENARIOS]
+    chosen = [row for row in usual(rows) if row.scenario in SHORT_SCENARIOS]
     return table([row for row in chosen if row.agent not in NOT_SHORT], SHORT_NAMES)
 
 
 def full(rows: Sequence[Row]) -> str:
-    """All rows and figures."""
+    """All rows with usual conditions, and all figures."""
+    rows = usual(rows)
     parts = [f"### {title}\n\n{table(rows, names)}" for title, names in TABLES.items()]
     streams = [row for row in rows if row.parameters and base_of(row.agent) is None]
     return "\n\n".join([*parts, f"### Costs\n\n{table(streams, COSTS)}"])
+
+
+def noise(rows: Sequence[Row]) -> str:
+    """Each figure of ``NOISE_NAMES`` by kind of device error."""
+    there = {(row.agent, row.scenario): row for row in rows}
+    split = [(row.agent, *row.scenario.partition(", noise: ")) for row in rows]
+    tried = {(agent, scenario) for agent, scenario, found, _ in split if found}
+    chosen = [row for row in usual(rows) if (row.agent, row.scenario) in tried]
+    parts = []
+    for name in NOISE_NAMES:
+        lines = _table(["agent", "scenario", "exact", *NOISES])
+        for row in chosen:
+            same = [row, *(there.get((row.agent, called(row.scenario, n))) for n in NOISES)]
+            cells = [_value(each, name) for each in same]
+            if any(cell != "-" for cell in cells):
+                lines.append(_line([row.agent, row.scenario, *cells]))
+        parts.append("\n".join([f"{LABELS[name]}:", "", *lines]))
+    return "\n\n".join(parts)
+
+
+def starts(rows: Sequence[Row]) -> str:
+    """Success and joint error of each start of the avatar."""
+    kinds: tuple[Start, ...] = get_args(Start)
+    there = {(row.agent, row.scenario): row for row in rows}
+    names = ("success_percent", "mpjpe_cm")
+    head = [f"{LABELS[name]}, {kind}" for name in names for kind in kinds]
+    lines = _table(["agent", "scenario", "clips", *head])
+    for row in usual(rows):
+        same = [there.get((row.agent, called(row.scenario, None, kind))) for kind in kinds]
+        if sum(each is not None for each in same) > 1 and row.pooled.get("success_percent"):
+            cells = [_value(each, name) for name in names for each in same]
+            lines.append(_line([row.agent, row.scenario, str(row.clips), *cells]))
+    return "\n".join(lines)
+
+
+def course(rows: Sequence[Row]) -> str:
+    """Mean joint error by time since the start, of kinematic systems with exact signals."""
+    lines = _table(["agent", "scenario", *(f"{i / 10:.1f} s" for i in COURSE_AT)])
+    for row in usual(rows):
+        streams = row.pooled.get("success_percent") is None and base_of(row.agent) is None
+        if streams and row.agent != RECORDING and len(row.course_cm) > max(COURSE_AT):
+            cells = [f"{row.course_cm[i]:.2f}" for i in COURSE_AT]
+            lines.append(_line([row.agent, row.scenario, *cells]))
+    return "\n".join(lines)
+
+
+def _value(row: Row | None, name: str) -> str:
+    value = None if row is None else row.pooled.get(name)
+    return "-" if value is None else f"{value:.2f}"
+
+
+def _table(head: Sequence[str]) -> list[str]:
+    return [_line(head), "|" + "---|" * len(head)]
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
 
 
 if __name__ == "__main__":

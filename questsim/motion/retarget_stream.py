@@ -24,7 +24,8 @@ from questsim.skeleton import FOOT_LINKS, NUM_DOFS
 class StreamRetargeter:
     """Retargets one person's poses to the avatar of one height.
 
-    The only state between calls is the last stance of the feet, if feet are planted.
+    The state between calls is the last pose's joint angles, so that no joint jumps by a turn, and
+    the last stance of the feet, if feet are planted.
 
     Args:
         recording: of the same person; gives the height of the floor, the height of the ankle above
@@ -39,9 +40,11 @@ class StreamRetargeter:
         self._footing = measure_footing(recording, height_m)
         soles = self._footing.soles
         self._planter = StancePlanter(soles, height_m) if soles.flat else None
+        self._angles: np.ndarray | None = None
 
     def reset(self) -> None:
         """The next pose is the first of a new stream."""
+        self._angles = None
         if self._planter is not None:
             self._planter.reset()
 
@@ -79,11 +82,14 @@ class StreamRetargeter:
         lowest = soles[..., 2].min(axis=-1)
         again = (lowest < allowed).any(axis=1) | bears.any(axis=1)
         if not again.any():
+            self._angles = qpos[-1, 7:]
             return qpos
         ankles[..., 2] += np.maximum(allowed - lowest, 0.0)
         ankles[..., :2] += bears[..., None] * (wanted - soles.mean(axis=-2))[..., :2]
         second = self._with_legs(root, quat, ankles, feet, angles)
-        return np.where(again[:, None], second, qpos)
+        qpos = np.where(again[:, None], second, qpos)
+        self._angles = qpos[-1, 7:]
+        return qpos
 
     def _feet(self, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions ``(T, 2, 3)`` and orientations ``(T, 2, 4)`` of the avatar's feet."""
@@ -105,11 +111,24 @@ class StreamRetargeter:
     ) -> np.ndarray:
         for index, side in enumerate(SIDES):
             fill_leg(side, root, quat, ankles[:, index], feet[:, index], self._height, angles)
-        return np.concatenate([root, quat[:, 0], _within_limits(angles)], axis=-1)
+        hinges = _within_limits(angles, self._angles)
+        return np.concatenate([root, quat[:, 0], hinges], axis=-1)
 
 
-def _within_limits(angles: np.ndarray) -> np.ndarray:
-    """Brings angles ``(T, 33)`` close to their ranges by full turns, then clips them."""
+def _within_limits(angles: np.ndarray, before: np.ndarray | None) -> np.ndarray:
+    """Adds full turns to angles ``(T, 33)``, then clips them to their ranges.
+
+    Each pose is brought as near as possible to the one before, the first one to the middle of the
+    ranges. Otherwise a joint that leaves its range at one end would come back at the other.
+
+    Args:
+        angles: of poses that follow each other.
+        before: ``(33,)`` result of the pose before them; None for the first pose of a stream.
+    """
     limits = build_body().model.jnt_range[1:]
-    turns = np.round((angles - limits.mean(axis=1)) / (2 * np.pi))
-    return np.clip(angles - 2 * np.pi * turns, limits[:, 0], limits[:, 1])
+    last = limits.mean(axis=1) if before is None else before
+    found = np.empty_like(angles)
+    for row, pose in enumerate(angles):
+        near = pose - 2 * np.pi * np.round((pose - last) / (2 * np.pi))
+        found[row] = last = np.clip(near, limits[:, 0], limits[:, 1])
+    return found

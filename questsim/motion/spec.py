@@ -290,8 +290,8 @@ def _code_digest() -> str:
     """Digest of the code and the body that clips depend on; a change invalidates the cache."""
     here = Path(__file__).parent
     others = (
-        "datasets inverse_dynamics library many mixture motions_command naming reproportion spec "
-        "variation vary_command"
+        "datasets inverse_dynamics library many mixture motions_command naming reproportion "
+        "retarget_stream spec stance_stream variation vary_command"
     )
     sources = sorted(path for path in here.glob("*.py") if path.stem not in others.split())
     sources += [Path(str(module.__file__)) for module in (rotations, skeleton)]

@@ -24,12 +24,14 @@ SCENARIOS: tuple[Scenario, ...] = (
     Scenario("6", SIX),
     Scenario("6, 1 iteration", SIX, options=(("iterations", 1),)),
     Scenario("6 position only", SIX, options=(("rotations", False),)),
+    Scenario("4, no predictor", SIX[:4], options=(("predictor", False),)),
     Scenario("4, published solver", SIX[:4], options=(("published", True),)),
     Scenario("6, published solver", SIX, options=(("published", True),)),
     Scenario("faulty 0.5 %", SIX, faults=0.005),
     Scenario("faulty 1 %", SIX, faults=0.01),
 )
-"""Scenarios of DragPoser's table 2, one with a single iteration per frame, and the solver as
+"""Scenarios of DragPoser's table 2, one with a single iteration per frame, one without the temporal
+predictor (its figure 6), and the solver as
 published on the same weights."""
 
 
