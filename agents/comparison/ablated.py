@@ -92,7 +92,7 @@ class SystemAblated:
 
     def __init__(self, agent: str) -> None:
         self._agent, self._entry = agent, AGENTS[agent]
-        self.figures = self._entry.figures
+        self.figures: Sequence[str] = self._entry.figures
 
     def preset(self, name: str, assignments: Sequence[str]) -> Any:
         """See ``Ablated``."""
@@ -127,7 +127,7 @@ class SystemAblated:
 class PolicyAblated:
     """QuestSim: the torque policy of ``train.py``, scored from the user's true state."""
 
-    figures = (
+    figures: Sequence[str] = (
         "success_percent", "mpjpe_cm", "h_pe_cm", "world_cm", "jitter_100_m_s3", "foot_skate_cm_s",
     )  # fmt: skip
 
