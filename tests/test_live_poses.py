@@ -351,7 +351,7 @@ def test_play_waits_for_the_first_checkpoint_and_says_so(tmp_path, monkeypatch, 
 def test_a_joint_that_leaves_its_range_stays_at_that_end_and_does_not_come_back_at_the_other():
     low, high = build_body().model.jnt_range[1:].T
     joint = int((high - low).argmin())
-    out = np.linspace(high[joint] - 0.1, (low + high)[joint] / 2 + 1.2 * np.pi, 12)
+    out = np.linspace(high[joint] - 0.1, (low + high)[joint] / 2 + 1.05 * np.pi, 12)
     angles = np.zeros((12, len(low)))
     # Each pose arrives as Euler angles do: within half a turn.
     angles[:, joint] = (out + np.pi) % (2 * np.pi) - np.pi
