@@ -33,7 +33,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 		{ echo "python3 cannot make virtual environments: apt-get install python3-venv"; exit 1; }
 	test -x $(PY) || $(PYTHON) -m venv $(VENV)
 	$(PY) -m pip install --quiet -c constraints.txt pip  # venv brings one that takes twice as long
-	$(PY) -m pip install --quiet --no-compile $(PIP_FLAGS) -c constraints.txt -e ".[dev]"
+	PYTHONWARNINGS=ignore $(PY) -m pip install --quiet --no-compile $(PIP_FLAGS) -c constraints.txt -e ".[dev]"
 	@touch $@
 
 DEMO_MOTIONS ?= synthetic:walk+stand+wave+raise-right-hand+raise-both-hands
