@@ -1,8 +1,13 @@
 """Assist: a bounded force and torque on the pelvis of an avatar that is about to lose its user.
 
 QuestSim (section 5.3) asks when physics should be violated. The assist acts while the avatar's
-head is more than 25 cm from the user's head, or will be within 0.1 s at the present velocities.
-The prediction detects toppling early. The assist reads the headset alone, so it also works live.
+head is more than 25 cm from the user's head, or will be in 0.3 s at the present velocities, about
+the time constant of a body that topples. It reads the headset alone, so it also works live.
+
+The force pulls the pelvis below the user's head, by a spring and a damper; its vertical part
+carries a body that sinks. The torque turns the trunk upright and towards the user's heading. While
+the user bends or squats, the trunk keeps its lean. Both are renewed in every substep of the
+physics: the pelvis is light, and gains of this size would shake it at 36 Hz.
 """
 
 from __future__ import annotations
@@ -11,27 +16,35 @@ import numpy as np
 
 from envs.core import BatchSim
 from questsim import rotations as rot
+from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
 from questsim.motion.clip import FPS
+from questsim.motion.kinematics import standing_clip
 from questsim.sensors import device_poses
 from questsim.skeleton import LINKS
 
 COMES_M, GOES_M = 0.25, 0.12
 """Distance between the heads above which the assist fades in, and below which it fades out."""
-FORESIGHT_S = 0.1
+FORESIGHT_S = 0.3
 """How far ahead the distance is extrapolated."""
-FADE_S = 0.25
+FADE_S = 0.1
 """Duration of a full fade in or out."""
-ARM_M = 0.3
-"""Bound of the torque over bound of the force: 90 N m for 300 N."""
+ARM_M = 1.0
+"""Bound of the torque over bound of the force, about a pelvis' height: 300 N m for 300 N."""
 MAX_ASSIST_N = 2000.0
-_STIFFNESS, _DAMPING = 60.0, 14.0
-"""Gains of the force on the pelvis, 1/s^2 and 1/s per kg: nearly critical damping at 1.2 Hz."""
-_UPRIGHTING, _SPIN_DAMPING = 15.0, 1.2
-"""Gains of the torque on the sine of the tilt and on rad/s, N m per kg of the body."""
-_TURNING = 4.0
+_STIFFNESS, _DAMPING = 15.0, 6.0
+"""Gains of the force on the pelvis, 1/s^2 and 1/s per kg of the body."""
+_LIFT_STIFFNESS, _LIFT_DAMPING = 20.0, 8.0
+"""The same of its vertical part."""
+_UPRIGHTING, _UPRIGHT_DAMPING = 4.3, 0.86
+"""Gains of the torque on the sine of the tilt and its rate, N m and N m s per kg of the body."""
+_TURNING = 2.0
 """Gain of the torque about the vertical on the sine of the angle between the headings."""
+_LOW, _UPRIGHT = 0.75, 0.90
+"""Heights of the user's headset, as shares of its standing height: below the first the user bends
+or squats, above the second the trunk is taken to be upright."""
 _PELVIS, _HEAD = 1, LINKS.index("head")
+_UP = np.array([0.0, 0.0, 1.0])
 
 
 class Assist:
@@ -42,8 +55,8 @@ class Assist:
         bound_n: largest magnitude of the force in newtons; 0 turns the assist off.
 
     Attributes:
-        force: ``(n, 3)`` N on the pelvis in the present step.
-        torque: ``(n, 3)`` N m in the present step; its bound is ``ARM_M`` times the force's.
+        force: ``(n, 3)`` N on the pelvis, mean of the last step.
+        torque: ``(n, 3)`` N m, mean of the last step; its bound is ``ARM_M`` times the force's.
         share: ``(n,)`` fade of the assist, 0 (off) to 1 (full).
 
     Raises:
@@ -54,20 +67,27 @@ class Assist:
         n = sim.num_envs
         self._sim, self.bound_n = sim, checked_bound(bound_n)
         self._mass = 70.0 * (sim.heights / 1.75) ** 3
-        self._wrench, self._spin = sim.batch.bind("xfrc_applied"), sim.batch.bind("cvel")
+        self._wrench = sim.batch.bind("xfrc_applied")
+        self._eyes = headsets_at(sim.heights)
         self.force, self.torque = np.zeros((n, 3)), np.zeros((n, 3))
         self.share = np.zeros(n)
         self._comes = np.zeros(n, bool)
-        self._before: np.ndarray | None = None
+        self.reset()
 
     def reset(self) -> None:
         """Turn the assist off in episodes that begin."""
-        self.share[:], self._comes[:], self._before = 0.0, False, None
+        self.share[:], self._comes[:] = 0.0, False
+        self._users: tuple[np.ndarray, np.ndarray] | None = None
+        self._body: tuple[np.ndarray, ...] | None = None
+        self._off()
+
+    def _off(self) -> None:
         self.force[:], self.torque[:] = 0.0, 0.0
         self._wrench[:, _PELVIS] = 0.0
+        self._sim.renew_forces = None
 
     def apply(self, user: np.ndarray, user_quat: np.ndarray) -> None:
-        """Set the forces of the coming step; call once before each.
+        """Decide on the assist in the coming step; call once before each.
 
         Args:
             user: ``(n, 3)`` positions of the users' headsets in the world in metres.
@@ -76,32 +96,60 @@ class Assist:
         if self.bound_n == 0.0 and not self.share.any():
             return
         own = headsets(self._sim)
-        error = user - own
-        rate = np.zeros_like(error) if self._before is None else (error - self._before) * FPS
-        self._before = error
-        distance = np.linalg.norm(error, axis=-1)
-        ahead = np.linalg.norm(error + FORESIGHT_S * rate, axis=-1)
-        worst = np.maximum(distance, ahead)
+        before = self._users or (user, own)
+        self._users = user.copy(), own
+        self._velocity, own_velocity = (
+            (now - then) * FPS for now, then in zip(self._users, before, strict=True)
+        )
+        self._user, self._heading, self._passed_s = user.copy(), rot.heading(user_quat), 0.0
+        error, rate = user - own, self._velocity - own_velocity
+        worst = np.maximum(
+            np.linalg.norm(error, axis=-1), np.linalg.norm(error + FORESIGHT_S * rate, axis=-1)
+        )
         self._comes |= worst > COMES_M
         self._comes &= worst > GOES_M
         step = 1.0 / (FADE_S * FPS)
         self.share += np.clip(self._comes - self.share, -step, step)
-        if not self.share.any():
-            self.force[:], self.torque[:] = 0.0, 0.0
-            self._wrench[:, _PELVIS] = 0.0
-            return
-        mass = self._mass[:, None]
-        pull = mass * (_STIFFNESS * error + _DAMPING * rate)
-        pelvis = self._sim.link_positions[:, 0]
-        lever, wanted = _unit(own - pelvis), _unit(user - pelvis)
-        spin = self._spin[:, _PELVIS, :3]
-        turn = _UPRIGHTING * np.cross(lever, wanted) - _SPIN_DAMPING * spin
-        aside = rot.heading(user_quat) - rot.heading(self._sim.link_quats[:, _HEAD])
+        self._off()
+        if self.share.any():
+            self._sim.renew_forces = self._renew
+        else:
+            self._body = None
+
+    def _renew(self) -> None:
+        """Set the wrench of the coming substep."""
+        sim = self._sim
+        step_s = 1.0 / (FPS * sim.substeps)
+        user = self._user + self._passed_s * self._velocity
+        self._passed_s += step_s
+        own, pelvis = headsets(sim), sim.link_positions[:, 0].copy()
+        trunk = own - pelvis
+        length = np.maximum(np.linalg.norm(trunk, axis=-1, keepdims=True), 1e-6)
+        lean = trunk / length
+        before = self._body or (pelvis, lean)
+        self._body = pelvis, lean
+        velocity, lean_rate = (
+            (now - then) / step_s for now, then in zip(self._body, before, strict=True)
+        )
+        tall = (user[:, 2] - sim.floor) / self._eyes
+        upright = np.clip((tall - _LOW) / (_UPRIGHT - _LOW), 0.0, 1.0)[:, None]
+        goal = user - upright * length * _UP - (1.0 - upright) * trunk
+        pull = _STIFFNESS * (goal - pelvis) + _DAMPING * (self._velocity - velocity)
+        pull[:, 2] += (_LIFT_STIFFNESS - _STIFFNESS) * (goal - pelvis)[:, 2]
+        pull[:, 2] += (_LIFT_DAMPING - _DAMPING) * (self._velocity - velocity)[:, 2]
+        turn = _UPRIGHTING * upright * np.cross(lean, _UP)
+        turn -= _UPRIGHT_DAMPING * np.cross(lean, lean_rate)
+        aside = self._heading - rot.heading(sim.link_quats[:, _HEAD])
         turn[:, 2] += _TURNING * np.sin(aside)
-        turn *= mass
-        self.force[:] = self.share[:, None] * _bounded(pull, self.bound_n)
-        self.torque[:] = self.share[:, None] * _bounded(turn, ARM_M * self.bound_n)
-        self._wrench[:, _PELVIS, :3], self._wrench[:, _PELVIS, 3:] = self.force, self.torque
+        self._set(self._mass[:, None] * pull, self._mass[:, None] * turn)
+
+    def _set(self, force: np.ndarray, torque: np.ndarray) -> None:
+        """Bound and fade a wrench ``(n, 3)``, ``(n, 3)``, and apply it."""
+        force = self.share[:, None] * _bounded(force, self.bound_n)
+        torque = self.share[:, None] * _bounded(torque, ARM_M * self.bound_n)
+        self.force += force / self._sim.substeps
+        self.torque += torque / self._sim.substeps
+        self._wrench[:, _PELVIS, :3], self._wrench[:, _PELVIS, 3:] = force, torque
 
 
 def checked_bound(bound_n: float) -> float:
@@ -129,8 +177,13 @@ def headsets(sim: BatchSim) -> np.ndarray:
     return out
 
 
-def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-6)
+def headsets_at(heights: np.ndarray) -> np.ndarray:
+    """Heights of the headsets of upright avatars of the given statures, both ``(n,)`` m."""
+    standing = standing_clip(DEFAULT_HEIGHT_M)
+    at, _ = device_poses(
+        standing.link_position[0], standing.link_quat[0], ["headset"], DEFAULT_HEIGHT_M
+    )
+    return heights * at[0, 2] / DEFAULT_HEIGHT_M
 
 
 def _bounded(vector: np.ndarray, most: float) -> np.ndarray:

@@ -5,7 +5,7 @@ Every interface (gymnasium, vector, stable-baselines3, kinematic) is a thin laye
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
@@ -221,6 +221,7 @@ class BatchSim:
         self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self._xpos, self._xquat, self._cvel = bind("xpos"), bind("xquat"), bind("cvel")
         self._com, self._sensors = bind("subtree_com"), bind("sensordata")
+        self.renew_forces: Callable[[], None] | None = None
 
     # -- what evaluation and rendering read ----------------------------------------------
 
@@ -379,8 +380,14 @@ class BatchSim:
         np.clip(checked_actions(action, self.ctrl.shape), -1.0, 1.0, out=self.ctrl)
         self.ctrl *= self.torque_limits
         self.pusher.apply()
-        with self._physics.surviving():
-            self.batch.step(nstep=self.substeps, stage=_CURRENT)
+        if self.renew_forces is None:
+            with self._physics.surviving():
+                self.batch.step(nstep=self.substeps, stage=_CURRENT)
+        else:
+            for _ in range(self.substeps):
+                self.renew_forces()
+                with self._physics.surviving():
+                    self.batch.step(nstep=1, stage=_CURRENT)
         self._after_step()
 
     def show(self, pose: np.ndarray) -> None:

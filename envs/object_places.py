@@ -17,6 +17,8 @@ from questsim.motion.synthesis.synthetic import SEATED
 
 CLEARANCE_M = 0.55
 """Least distance of an object from the avatar's pelvis at the start of an episode."""
+BEFORE_M, ASIDE_M = 1.0, 1.0
+"""Distance of an object before the user of a stream, and between two of them."""
 APART_M = 0.9
 """Least distance between two objects: a hurdle reaches 62 cm to each side."""
 
@@ -95,6 +97,24 @@ class Objects(Drawing):
             self.pose[ids, number, 3:] = np.stack(
                 [np.cos(half), 0.0 * half, 0.0 * half, np.sin(half)], axis=-1
             )
+
+    def place_before(self, spot: np.ndarray, ahead: np.ndarray, field: HeightField | None) -> None:
+        """Place the objects of a single avatar side by side before it.
+
+        Args:
+            spot: ``(2,)`` position of its pelvis.
+            ahead: ``(2,)`` unit vector of its heading.
+            field: the ground; None for a plane.
+        """
+        left = np.array([-ahead[1], ahead[0]])
+        half = 0.5 * np.arctan2(ahead[1], ahead[0])
+        for number in range(len(self._objects)):
+            aside = (number - 0.5 * (len(self._objects) - 1)) * ASIDE_M
+            there = spot + BEFORE_M * ahead + aside * left
+            self.pose[0, number, :2] = there
+            self.pose[0, number, 2] = 0.0 if field is None else _on_top(field, there[None])[0]
+            self.pose[0, number, 3:] = np.cos(half), 0.0, 0.0, np.sin(half)
+        self._qvel[0] = 0.0
 
     def _under_sitters(
         self,

@@ -13,6 +13,8 @@ import numpy as np
 
 from envs.config import EnvConfig
 from envs.core import BatchSim
+from envs.object_places import CLEARANCE_M
+from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.motion.clip import Clip
 from questsim.motion.kinematics import standing_clip
@@ -42,6 +44,7 @@ class StreamSim(BatchSim):
         options = replace(config, heights=(height_m, height_m), fixed_start=True)
         super().__init__([standing_clip(height_m, _ROWS)], options, 1)
         self.device_names = sensor_set(config.sensors)
+        self._objects_anew = True
         self.newest_row = NOW + config.frame_offsets[-1]
         self.reset()
 
@@ -53,10 +56,13 @@ class StreamSim(BatchSim):
     def put(self, qpos: np.ndarray, velocity: np.ndarray | None = None) -> None:
         """Set the avatar's pose, given above level ground; the terrain lifts it.
 
+        Objects are placed before the first pose, and stay where they are in later ones.
+
         Args:
             qpos: ``(40,)``.
             velocity: ``(3,)`` of the whole body in m/s; at rest if None.
         """
+        before = None if self._objects_anew else self.objects.pose.copy()
         self.reset()
         # The user's coordinates are the world's, so the clip is not moved to a place.
         self.placement.place[:] = 0.0, 0.0, 1.0, 0.0
@@ -64,11 +70,26 @@ class StreamSim(BatchSim):
         self.qvel[0, :_VELOCITIES] = 0.0
         if velocity is not None:
             self.qvel[0, :3] = velocity
+        self._put_objects(before)
         if self.placement.field is not None:
             self.batch.forward(stage=int(mujoco.mjtStage.mjSTAGE_POS.value))
             self.qpos[0, 2] += max(-float(self.foot_clearance.min()), 0.0)
         self.batch.forward(stage=int(mujoco.mjtStage.mjSTAGE_VEL.value))
         self.look()
+
+    def _put_objects(self, before: np.ndarray | None) -> None:
+        """Objects stay where they were, unless they are in the way of the avatar's new place."""
+        if not self.config.objects:
+            return
+        self._objects_anew = False
+        spot, yaw = self.qpos[0, :2], float(rot.heading(self.qpos[0, 3:7]))
+        if before is not None:
+            apart = np.linalg.norm(before[0, :, :2] - spot, axis=-1)
+            if np.isfinite(before).all() and apart.min() > CLEARANCE_M:
+                self.objects.pose[:] = before
+                return
+        ahead = np.array([np.cos(yaw), np.sin(yaw)])
+        self.objects.place_before(spot, ahead, self.placement.field)
 
     def show_devices(self, position: np.ndarray, quat: np.ndarray, fill: bool = False) -> None:
         """Advance the window by one frame and write the newest poses of the devices.

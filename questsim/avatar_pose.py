@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,6 +24,8 @@ class AvatarPose:
             without physics.
         assist_force: ``(3,)`` force in N on the root from the assist; zero while it is not used.
         assist_torque: ``(3,)`` torque in N m on the root from the assist, likewise.
+        object_position: ``(K, 3)`` positions of the session's objects in metres.
+        object_quat: ``(K, 4)`` their orientations.
         events: texts of events since the previous pose; usually empty.
     """
 
@@ -38,6 +40,8 @@ class AvatarPose:
     assist_force: np.ndarray
     assist_torque: np.ndarray
     events: tuple[str, ...] = ()
+    object_position: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    object_quat: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
 
     @property
     def qpos(self) -> np.ndarray:

@@ -13,6 +13,7 @@ from agents.follower import Calibration, Follower, calibrate
 from agents.follower.bridge import Bridge
 from agents.follower.stance import estimated_pose
 from agents.loading import load_agent
+from envs.objects import objects_named
 from questsim import rotations as rot
 from questsim.devices import DeviceFrame, DevicePose
 from questsim.errors import InputError
@@ -212,9 +213,14 @@ def test_headset_alone_lets_the_arms_hang(follower):
 
 
 def test_an_avatar_that_fell_is_set_up_again_within_a_second():
-    follower = Follower("zero", height_m=1.75)
+    follower = Follower("zero", height_m=1.75, objects=objects_named(["ball", "box"]))
     frames, _ = stream(USER, [], 72.0)
     poses = followed(follower, frames)
+    # The objects are a metre before the user, who looks along x, and apart from each other.
+    before = np.array([[1.0, -0.5], [1.0, 0.5]])
+    away = poses[0].object_position[:, :2] - poses[0].root_position[:2]
+    assert away == pytest.approx(before, abs=0.02)
+    assert np.isfinite(poses[-1].object_position).all()
     falls = [pose.time_s for pose in poses if "the avatar fell: set up again" in pose.events]
     assert falls
     heads = np.array([pose.link_position[LINKS.index("head"), 2] for pose in poses])

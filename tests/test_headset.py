@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from agents.follower.bridge import IDENTITY
 from agents.headset.messages import MAX_BYTES, MAX_PER_SECOND, Allowance, frame_of, read_message
-from agents.headset.server import PAGE, LiveServer, ground_of
+from agents.headset.server import PAGE, LiveServer, ground_of, parts_of
 from agents.headset.session import CALIBRATING, CALIBRATION_S, FOLLOWING, LiveSession
 from agents.headset.tls import known_host, server_context
+from envs.objects import WorldObject
 from envs.terrain import height_field, terrain_named
 from questsim.cli import main
 from questsim.devices import DeviceFrame, DevicePose
@@ -358,6 +359,16 @@ def test_certificate_without_its_key_is_refused(tmp_path):
     broken.write_text("rubbish")
     with pytest.raises(InputError, match=r"a\.pem"):
         server_context(broken, broken, [])
+
+
+def test_the_page_gets_objects_in_its_own_axes():
+    (ball,) = parts_of(WorldObject("ball"), 1.75)
+    assert ball == {"shape": "ball", "size": [0.11], "place": [0.0, 0.11, 0.0]}
+    seat, back = parts_of(WorldObject("chair"), 1.75)[:2]
+    # A seat 44 cm wide and deep; its back, 4 cm thick, is behind it, on the page's +z.
+    assert seat["size"] == pytest.approx([0.44, 0.04, 0.44])
+    assert back["size"] == pytest.approx([0.44, 0.44, 0.04])
+    assert back["place"] == pytest.approx([0.0, 0.67, 0.2])
 
 
 def test_the_page_gets_the_ground_in_its_own_axes():

@@ -35,9 +35,12 @@ class AssistUse:
         self._helped = np.zeros(sim.num_envs, bool)
         self._clips += sim.num_envs
 
-    def apply(self, active: np.ndarray) -> None:
-        """Set the forces of the next step; ``active`` ``(C,)`` bool: avatars that count."""
+    def apply(self) -> None:
+        """Set the forces of the next step."""
         self._assist.apply(*user_headsets(self._sim))
+
+    def count(self, active: np.ndarray) -> None:
+        """Count the forces of the last step; ``active`` ``(C,)`` bool: avatars that count."""
         force = np.linalg.norm(self._assist.force, axis=-1)[active]
         used = force > 0.0
         self._steps += len(force)

@@ -108,8 +108,10 @@ def follow(
         assist.begin(sim)
     while active.any():
         if assist is not None:
-            assist.apply(active)
+            assist.apply()
         sim.step(agent.act(sim.observation))
+        if assist is not None:
+            assist.count(active)
         # Non-finite values are left out of sums and recordings.
         good = active & ~sim.unstable
         total[good] += sim.reward[good]

@@ -14,7 +14,14 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from agents.agent import Agent
-from agents.follower.states import State, between_poses, between_qpos, resting_state
+from agents.follower.scene import PLAIN, Scene
+from agents.follower.states import (
+    NO_OBJECTS,
+    State,
+    between_poses,
+    between_qpos,
+    resting_state,
+)
 from agents.follower.system_poses import SystemPoses, live_set
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.physics_behind import BEGINNING_FRAMES
@@ -24,6 +31,7 @@ from agents.resolve import PHYSICS
 from envs.assist import Assist, checked_bound, headsets
 from envs.config import EnvConfig
 from envs.layout import observation_layout
+from envs.objects import WorldObject
 from envs.stream import AHEAD, StreamSim
 from envs.terrain import Terrain, height_field
 from questsim.body import DEFAULT_HEIGHT_M, build_body
@@ -59,6 +67,11 @@ class Engine(ABC):
     height_m: float
     assist_n: float = 0.0
     _assist: Assist | None = None
+
+    @property
+    def objects(self) -> np.ndarray:
+        """Positions and quaternions ``(K, 7)`` of the objects; none without physics."""
+        return NO_OBJECTS
 
     def set_assist(self, bound_n: float) -> None:
         """Set the largest assisting force in newtons; 0 for none.
@@ -111,7 +124,7 @@ class TorqueEngine(Engine):
         agent: reads devices, not the full body.
         sensors: name of the sensor set; by default the one that the agent was trained with.
         assist_n: bound of the assisting force, 0 for none.
-        terrain: the ground, None for a plane.
+        scene: the ground and objects.
 
     Raises:
         InputError: the agent has inputs that no device reports.
@@ -124,7 +137,7 @@ class TorqueEngine(Engine):
         agent: Agent,
         sensors: str | None = None,
         assist_n: float = 0.0,
-        terrain: Terrain | None = None,
+        scene: Scene = PLAIN,
     ) -> None:
         needs = agent.needs
         if needs.privileged:
@@ -139,7 +152,8 @@ class TorqueEngine(Engine):
             sensors=sensors or needs.sensors,
             future_frames=needs.future_frames,
             body_preset=needs.body_preset,
-            terrain=terrain,
+            terrain=scene.terrain,
+            objects=scene.objects,
         )
         if isinstance(agent, PolicyAgent):
             layout = Layout.of(observation_layout(self._config))
@@ -159,6 +173,11 @@ class TorqueEngine(Engine):
     def begin(self, position: np.ndarray, quat: np.ndarray) -> None:
         """See ``Engine``."""
         self._sim.show_devices(position, quat, fill=True)
+
+    @property
+    def objects(self) -> np.ndarray:
+        """See ``Engine``."""
+        return self._sim.objects.pose[0].copy()
 
     def put(self, qpos: np.ndarray, velocity: np.ndarray) -> None:
         """See ``Engine``."""
@@ -212,6 +231,7 @@ def stepped(
         assist_force=assist.force[0].copy(),
         assist_torque=assist.torque[0].copy(),
         headset_error_m=apart if not sim.unstable[0] else np.inf,
+        objects=sim.objects.pose[0].copy(),
     )
 
 
@@ -273,6 +293,7 @@ class PhysicsEngine(Engine):
         system: reads devices at 60 Hz.
         tracker: reads a full-body reference, at 36 Hz.
         sensors, assist_n: as in the other engines.
+        objects: on the ground before the avatar.
 
     Raises:
         InputError: the system cannot use these devices, or they are IMUs.
@@ -286,6 +307,7 @@ class PhysicsEngine(Engine):
         tracker: Agent,
         sensors: str | None = None,
         assist_n: float = 0.0,
+        objects: tuple[WorldObject, ...] = (),
     ) -> None:
         self.names = live_set(system, sensors)
         self._system, self._agent = system, tracker
@@ -296,6 +318,7 @@ class PhysicsEngine(Engine):
             future_frames=needs.future_frames,
             privileged=needs.privileged,
             body_preset=needs.body_preset,
+            objects=objects,
         )
         # Sources of delay: the velocity of a reference frame needs the next one (the step wins one
         # back), frames of 60 and 36 Hz do not coincide, and states are interpolated.
@@ -320,6 +343,11 @@ class PhysicsEngine(Engine):
         self._last: list[np.ndarray] = []
         self._users = [(position, quat)] * (AHEAD + 1)
         self._blend = 0
+
+    @property
+    def objects(self) -> np.ndarray:
+        """See ``Engine``."""
+        return self._sim.objects.pose[0].copy()
 
     def put(self, qpos: np.ndarray, velocity: np.ndarray) -> None:
         """See ``Engine``; the reference blends from this pose to the system's."""

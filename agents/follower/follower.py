@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import mujoco
@@ -13,12 +13,14 @@ from agents.agent import Agent
 from agents.follower.bridge import Bridge, Moment
 from agents.follower.calibration import Calibration, calibrate
 from agents.follower.engines import Engine, PhysicsEngine, PoseEngine, TorqueEngine
+from agents.follower.scene import PLAIN, Scene
 from agents.follower.stance import estimated_pose
 from agents.follower.states import State, between_states, resting_state
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.store import load_system
 from agents.loading import load_agent
 from agents.resolve import DEFAULT_POLICY, ESTIMATE_TRACKER, resolve
+from envs.objects import WorldObject
 from envs.terrain import Terrain
 from questsim import rotations as rot
 from questsim.avatar_pose import AvatarPose
@@ -45,10 +47,12 @@ class Follower:
         height_m: the user's stature, if known.
         assist_n: largest external assisting force in N, see ``envs.assist``; 0 for none.
         terrain: the ground under the avatar; None for a plane.
+        objects: on the ground before the avatar, for agents with physics.
 
     Attributes:
         calibration: the user's calibration; None before calibration.
         names: the devices that are read.
+        scene: ground and objects.
         latency_s: delay of a pose behind the newest frame: the agent's window of future frames
             plus the delay of interpolation.
 
@@ -64,8 +68,10 @@ class Follower:
         height_m: float | None = None,
         assist_n: float = 0.0,
         terrain: Terrain | None = None,
+        objects: Sequence[WorldObject] = (),
     ) -> None:
-        self._engine = engine_of(agent, sensors, assist_n, terrain)
+        self.scene = Scene(terrain, tuple(objects))
+        self._engine = engine_of(agent, sensors, assist_n, self.scene)
         self._carry = terrain is None
         self.names, self.latency_s = self._engine.names, self._engine.latency_s
         self.calibration: Calibration | None = None
@@ -168,7 +174,7 @@ class Follower:
         qpos = estimated_pose(engine.names, position, quat, engine.height_m)
         engine.put(qpos, velocity)
         self._states.clear()
-        self._states.append(resting_state(time_s, qpos))
+        self._states.append(resting_state(time_s, qpos, engine.objects))
         self._lost_s = 0.0
 
     def _pose_at(self, time_s: float) -> AvatarPose:
@@ -195,6 +201,7 @@ class Follower:
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
         back = rot.yaw_quat(np.array(-alignment.yaw))
+        things, turns = alignment.undo(state.objects[:, :3], state.objects[:, 3:])
         return AvatarPose(
             time_s=state.time_s,
             height_m=self._engine.height_m,
@@ -207,6 +214,8 @@ class Follower:
             assist_force=rot.quat_rotate(back, state.assist_force),
             assist_torque=rot.quat_rotate(back, state.assist_torque),
             events=events,
+            object_position=things + np.array([0.0, 0.0, self.calibration.floor_m]),
+            object_quat=turns,
         )
 
 
@@ -214,7 +223,7 @@ def engine_of(
     agent: str | Path | Agent | KinematicSystem,
     sensors: str | None,
     assist_n: float,
-    terrain: Terrain | None,
+    scene: Scene = PLAIN,
 ) -> Engine:
     """The engine of an agent; a name is loaded first.
 
@@ -222,15 +231,21 @@ def engine_of(
         InputError: see ``Follower``.
     """
     if isinstance(agent, KinematicSystem):
-        return PoseEngine(agent, sensors, terrain)
-    if not isinstance(agent, str | Path):
-        return TorqueEngine(agent, sensors, assist_n, terrain)
-    found = resolve(agent)
-    if found.torques:
-        return TorqueEngine(load_agent(agent), sensors, assist_n, terrain)
-    system = load_system(found.base)
-    if found.kind == "system":
-        return PoseEngine(system, sensors, terrain)
-    if terrain is not None:
+        system, physics = agent, False
+    elif not isinstance(agent, str | Path):
+        return TorqueEngine(agent, sensors, assist_n, scene)
+    else:
+        found = resolve(agent)
+        if found.torques:
+            return TorqueEngine(load_agent(agent), sensors, assist_n, scene)
+        system, physics = load_system(found.base), found.kind != "system"
+    if physics and scene.terrain is not None:
         raise InputError(f"{agent} only supports level ground", "terrain", "leave it out")
-    return PhysicsEngine(system, load_agent(ESTIMATE_TRACKER), sensors, assist_n)
+    if physics:
+        tracker = load_agent(ESTIMATE_TRACKER)
+        return PhysicsEngine(system, tracker, sensors, assist_n, scene.objects)
+    if scene.objects:
+        raise InputError(
+            "an agent without physics cannot touch objects", "objects", "leave them out"
+        )
+    return PoseEngine(system, sensors, scene.terrain)

@@ -8,6 +8,8 @@ import numpy as np
 
 from questsim.motion.motion import Motion
 
+NO_OBJECTS = np.zeros((0, 7))
+
 
 @dataclass(frozen=True)
 class State:
@@ -18,6 +20,7 @@ class State:
         qpos: ``(40,)``.
         contact_force: ``(2, 3)`` N.
         assist_force, assist_torque: ``(3,)`` N, N m.
+        objects: ``(K, 7)`` positions and quaternions of the objects.
         headset_error_m: distance of the avatar's headset from the user's, just before.
     """
 
@@ -27,6 +30,7 @@ class State:
     assist_force: np.ndarray
     assist_torque: np.ndarray
     headset_error_m: float
+    objects: np.ndarray
 
 
 def between_poses(a: Motion, b: Motion, share: float) -> Motion:
@@ -38,9 +42,9 @@ def between_poses(a: Motion, b: Motion, share: float) -> Motion:
     return replace(b, root_position=root, rotations=turn)
 
 
-def resting_state(time_s: float, qpos: np.ndarray) -> State:
+def resting_state(time_s: float, qpos: np.ndarray, objects: np.ndarray = NO_OBJECTS) -> State:
     """A pose ``(40,)`` without forces."""
-    return State(time_s, qpos, np.zeros((2, 3)), np.zeros(3), np.zeros(3), 0.0)
+    return State(time_s, qpos, np.zeros((2, 3)), np.zeros(3), np.zeros(3), 0.0, objects)
 
 
 def between_states(a: State, b: State, time_s: float) -> State:
@@ -57,6 +61,7 @@ def between_states(a: State, b: State, time_s: float) -> State:
         assist_force=mix(a.assist_force, b.assist_force),
         assist_torque=mix(a.assist_torque, b.assist_torque),
         headset_error_m=b.headset_error_m,
+        objects=_between_objects(a.objects, b.objects, share),
     )
 
 
@@ -66,4 +71,13 @@ def between_qpos(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
     sign = -1.0 if a[3:7] @ b[3:7] < 0.0 else 1.0
     out[3:7] = (1.0 - share) * a[3:7] + share * sign * b[3:7]
     out[3:7] /= np.linalg.norm(out[3:7])
+    return out
+
+
+def _between_objects(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
+    """Interpolate poses ``(K, 7)`` of objects."""
+    out = (1.0 - share) * a + share * b
+    sign = np.where((a[:, 3:] * b[:, 3:]).sum(-1, keepdims=True) < 0.0, -1.0, 1.0)
+    out[:, 3:] = (1.0 - share) * a[:, 3:] + share * sign * b[:, 3:]
+    out[:, 3:] /= np.linalg.norm(out[:, 3:], axis=-1, keepdims=True)
     return out

@@ -12,15 +12,19 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import torch
 import tyro
+from typing_extensions import Doc
 
 from agents.follower.calibration import POSES, Calibration
 from agents.follower.follower import Follower
+from agents.follower.scene import Scene
 from agents.headset.session import LiveSession
 from agents.resolve import LIVE_POLICY, AgentName
-from envs.terrain import Terrain, terrain_named
+from envs.objects import OBJECTS, objects_named
+from envs.terrain import terrain_named
 from questsim.avatar_pose import AvatarPose
 from questsim.devices import DeviceFrame
 from questsim.errors import InputError, at_least
@@ -52,6 +56,9 @@ class LiveArgs:
     """Largest force in N that assists the avatar's balance; 0 for physics without assistance."""
     terrain: str | None = None
     """Ground under the avatar, e.g. rough or slope:slope_deg=6; the user's own floor is level."""
+    objects: Annotated[
+        tuple[str, ...], Doc(f"Objects a metre before the avatar: {', '.join(OBJECTS)}.")
+    ] = ()
     replay: Path | None = None
     """Drive the avatar from this recording; pages only watch."""
     record: Path | None = None
@@ -111,11 +118,14 @@ def live(args: LiveArgs, out: Path | None = None) -> None:
     if calibration is None and recording is not None and recording.calibration is not None:
         calibration = Calibration.of(recording.calibration)
     terrain = None if args.terrain is None else terrain_named(args.terrain, "--terrain")
-    follower = Follower(args.agent, args.sensors, assist_n=args.assist, terrain=terrain)
+    objects = objects_named(args.objects, "--objects")
+    follower = Follower(
+        args.agent, args.sensors, assist_n=args.assist, terrain=terrain, objects=objects
+    )
     with ExitStack() as stack:
         heed_frame, count = _recorder(stack, out or args.record)
         make = _session_maker(args, follower, calibration, heed_frame)
-        asyncio.run(_serve(args, make, recording, terrain))
+        asyncio.run(_serve(args, make, recording, follower.scene))
         if count is not None:
             print(f"{count()} frames in {out or args.record}", file=sys.stderr)
 
@@ -187,7 +197,7 @@ async def _serve(
     args: LiveArgs,
     make: Callable[..., LiveSession],
     recording: Recording | None,
-    terrain: Terrain | None,
+    scene: Scene,
 ) -> None:
     from agents.headset.server import LiveServer
     from agents.headset.tls import LOOPBACK_NAMES, own_addresses, server_context
@@ -200,7 +210,7 @@ async def _serve(
         context = server_context(args.cert, args.key, list({*LOOPBACK_NAMES, *names}))
     token = "" if local else secrets.token_urlsafe(16)
     pages = recording is None and args.vmc_in is None
-    server = LiveServer(args.host, token, context, page_drives=pages, terrain=terrain)
+    server = LiveServer(args.host, token, context, page_drives=pages, scene=scene)
     with make(server.publish) as session:
         server.session = session
         await server.start(args.port)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from aiohttp import WSCloseCode, WSMsgType, web
 
+from agents.follower.scene import PLAIN, Scene
 from agents.headset.messages import (
     MAX_BYTES,
     MAX_FAULTS,
@@ -25,7 +26,9 @@ from agents.headset.messages import (
 )
 from agents.headset.session import LiveSession
 from agents.headset.tls import known_host
+from envs.objects import WorldObject, shapes_of
 from envs.terrain import Terrain, height_field
+from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
 from questsim.exporting.glb import avatar_glb
 
@@ -61,7 +64,7 @@ class LiveServer:
         token: required in every address; empty on loopback, where none is needed.
         context: TLS context; None for plain HTTP on loopback.
         page_drives: whether a page may drive the avatar.
-        terrain: the ground that pages show; None for a plane.
+        scene: the ground and the objects that pages show.
 
     Attributes:
         session: set this before ``start``.
@@ -74,9 +77,9 @@ class LiveServer:
         token: str,
         context: ssl.SSLContext | None,
         page_drives: bool = True,
-        terrain: Terrain | None = None,
+        scene: Scene = PLAIN,
     ) -> None:
-        self._terrain = terrain
+        self._scene = scene
         self._host, self._token, self._context = host, token, context
         self._page_drives = page_drives
         self._clients: dict[web.WebSocketResponse, _Outbox] = {}
@@ -98,6 +101,7 @@ class LiveServer:
             app.router.add_get(path, self._file)
         app.router.add_get("/avatar.glb", self._avatar)
         app.router.add_get("/ground.json", self._ground)
+        app.router.add_get("/objects.json", self._objects)
         app.router.add_get("/ws", self._socket)
         self._runner = web.AppRunner(app, access_log=None, handle_signals=False)
         await self._runner.setup()
@@ -165,8 +169,14 @@ class LiveServer:
 
     async def _ground(self, _: web.Request) -> web.StreamResponse:
         """Heights of the ground around the origin for the page; null for a plane."""
-        terrain = self._terrain
+        terrain = self._scene.terrain
         return web.json_response(None if terrain is None else ground_of(terrain))
+
+    async def _objects(self, _: web.Request) -> web.StreamResponse:
+        """Parts of each object for the page."""
+        assert self.session is not None
+        height = self.session.height_m or DEFAULT_HEIGHT_M
+        return web.json_response([parts_of(obj, height) for obj in self._scene.objects])
 
     async def _socket(self, request: web.Request) -> web.StreamResponse:
         if len(self._clients) >= MAX_CLIENTS:
@@ -287,3 +297,19 @@ def ground_of(terrain: Terrain) -> dict[str, Any]:
         "side_m": GROUND_M,
         "heights": [round(float(height), 3) for height in heights.ravel()],
     }
+
+
+def parts_of(obj: WorldObject, height_m: float) -> list[dict[str, Any]]:
+    """Balls and boxes of an object in the page's axes (x right, y up, z back).
+
+    Returns:
+        For each part ``shape``, ``size`` (the radius, or the whole edges) and ``place`` in metres.
+    """
+    parts = []
+    for shape in shapes_of(obj, height_m):
+        forward, left, up = shape.place
+        size = list(shape.size)
+        if shape.shape == "box":
+            size = [2.0 * shape.size[axis] for axis in (1, 2, 0)]
+        parts.append({"shape": shape.shape, "size": size, "place": [-left, up, -forward]})
+    return parts

@@ -42,6 +42,7 @@ class LiveSession:
             pose, e.g. to forward it.
 
     Attributes:
+        taken: number of frames that the simulation has taken.
         dropped: number of frames dropped because they waited too long.
         failure: the exception that ended the thread, if any.
     """
@@ -67,7 +68,7 @@ class LiveSession:
         self._seen: deque[DeviceFrame] = deque()
         self._still: list[DeviceFrame] = []
         self._said = ""
-        self.state, self.dropped = WAITING, 0
+        self.state, self.taken, self.dropped = WAITING, 0, 0
         self.failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="live", daemon=True)
 
@@ -146,6 +147,7 @@ class LiveSession:
             if self._heed_pose is not None:
                 self._heed_pose(pose)
             self._publish(self._described(frame, pose, came_s))
+        self.taken += 1
 
     def _measure(self, frame: DeviceFrame) -> None:
         if self._still and frame.time_s <= self._still[-1].time_s:
@@ -196,6 +198,7 @@ class LiveSession:
         """A pose for pages: links in WebXR's axes, and the displayed figures."""
         position, quat = from_ours(pose.link_position, pose.link_quat, "openxr")
         force, _ = from_ours(pose.contact_force, np.tile([1.0, 0, 0, 0], (2, 1)), "openxr")
+        things, turns = from_ours(pose.object_position, pose.object_quat, "openxr")
         assist, _ = from_ours(pose.assist_force, np.array([1.0, 0, 0, 0]), "openxr")
         return {
             "type": "pose",
@@ -205,6 +208,7 @@ class LiveSession:
             "q": rounded(quat),
             "force": rounded(force, 1),
             "assist": rounded(assist, 1),
+            "objects": rounded(np.concatenate([things, turns], axis=-1)),
             "error_cm": self._error_cm(frame, pose),
             "step_ms": round(1000.0 * (time.monotonic() - came_s), 1),
             "dropped": self.dropped,

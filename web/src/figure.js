@@ -10,6 +10,15 @@ const LINKS = [
 // The file faces +z, WebXR -z.
 const HALF_TURN = new Quaternion(0, 1, 0, 0);
 
+// Draws a reflection only where the mirror's mask is, see Mirror.
+export function onlyInGlass(group) {
+  group.traverse((node) => {
+    if (!node.isMesh) return;
+    node.renderOrder = -1;
+    Object.assign(node.material, { stencilWrite: true, stencilRef: 1, stencilFunc: EqualStencilFunc });
+  });
+}
+
 export class Figure extends Group {
   constructor(inMirror = false) {
     super();
@@ -30,11 +39,7 @@ export class Figure extends Group {
     this.clear();
     this.add(...found);
     this.links = found;
-    if (this.inMirror) this.traverse((node) => {
-      if (!node.isMesh) return;
-      node.renderOrder = -1;
-      Object.assign(node.material, { stencilWrite: true, stencilRef: 1, stencilFunc: EqualStencilFunc });
-    });
+    if (this.inMirror) onlyInGlass(this);
   }
 
   show(pose) {

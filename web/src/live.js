@@ -5,7 +5,7 @@ import { VRButton } from "three/addons/webxr/VRButton.js";
 import { Connection } from "./connection.js";
 import { readFrame } from "./devices.js";
 import { Figure } from "./figure.js";
-import { Board, Forces, Mirror, Stage, loadGround, makeWorld } from "./world.js";
+import { Board, Forces, Mirror, Stage, Things, loadGround, loadObjects, makeWorld } from "./world.js";
 
 const element = (id) => document.getElementById(id);
 const EVENT_MS = 4000;
@@ -36,8 +36,10 @@ const own = new Figure();
 const seen = new Figure(true);
 const forces = new Forces();
 const board = new Board();
-const stage = new Stage(new Mirror(seen), board);
-scene.add(own, stage, forces);
+const things = new Things();
+const seenThings = new Things(true);
+const stage = new Stage(new Mirror(seen, seenThings), board);
+scene.add(own, things, stage, forces);
 
 const state = { text: "connecting", numbers: "", event: "", eventAt: 0, height: null, state: "" };
 let connection = new Connection("watcher", take);
@@ -67,6 +69,11 @@ function showState(message) {
   }
   if (message.height_m && message.height_m !== state.height) {
     state.height = message.height_m;
+    loadObjects().then((objects) => {
+      for (const group of [things, seenThings]) group.build(objects);
+    }).catch((error) => {
+      element("fault").textContent = `the objects were not loaded: ${error.message}`;
+    });
     for (const figure of [own, seen]) figure.load(message.height_m).catch((error) => {
       element("fault").textContent = `the avatar was not loaded: ${error.message}`;
     });
@@ -76,6 +83,8 @@ function showState(message) {
 function showPose(pose) {
   own.show(pose);
   seen.show(pose);
+  things.show(pose.objects);
+  seenThings.show(pose.objects);
   own.headless = session !== null;
   const shift = stage.follow(pose.p[0], pose.p[2]);
   if (shift) {

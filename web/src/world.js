@@ -2,8 +2,9 @@
 import {
   ArrowHelper, BoxGeometry, CanvasTexture, Color, DirectionalLight, Group, HemisphereLight, Mesh,
   MeshBasicMaterial, MeshStandardMaterial, PlaneGeometry, RepeatWrapping,
-  ReplaceStencilOp, Scene, SRGBColorSpace, Vector3,
+  ReplaceStencilOp, Scene, SphereGeometry, SRGBColorSpace, Vector3,
 } from "three";
+import { onlyInGlass } from "./figure.js";
 
 const MIRROR_Z = -2;
 const FLOOR_M = 30;
@@ -56,14 +57,53 @@ function floor() {
   return plane;
 }
 
+// The session's objects: balls and boxes of the server, put where a message says.
+export class Things extends Group {
+  constructor(inMirror = false) {
+    super();
+    this.inMirror = inMirror;
+  }
+
+  build(objects) {
+    this.clear();
+    for (const parts of objects) {
+      const thing = new Group();
+      for (const { shape, size, place } of parts) {
+        const form = shape === "ball" ? new SphereGeometry(size[0], 24, 16) : new BoxGeometry(...size);
+        const part = new Mesh(form, new MeshStandardMaterial({ color: 0xd9bf4d, roughness: 0.7 }));
+        part.position.set(...place);
+        thing.add(part);
+      }
+      this.add(thing);
+    }
+    if (this.inMirror) onlyInGlass(this);
+  }
+
+  show(poses) {
+    this.children.forEach((thing, i) => {
+      thing.visible = poses.length >= 7 * i + 7;
+      if (!thing.visible) return;
+      thing.position.fromArray(poses, 7 * i);
+      thing.quaternion.fromArray(poses, 7 * i + 3);
+    });
+  }
+}
+
+export async function loadObjects() {
+  const address = new URL("/objects.json", location.href);
+  const token = new URLSearchParams(location.search).get("token");
+  if (token) address.searchParams.set("token", token);
+  return (await fetch(address)).json();
+}
+
 // What is in the mirror is a second figure, reflected: it needs no second picture of the room, which
 // headsets have no time for, and is right in both eyes.
 export class Mirror extends Group {
-  constructor(figure) {
+  constructor(...seen) {
     super();
     this.reflected = new Group();
     this.shifted = new Group();
-    this.shifted.add(figure);
+    this.shifted.add(...seen);
     this.reflected.add(this.shifted);
     this.reflected.scale.z = -1;
     this.reflected.position.z = 2 * MIRROR_Z;
