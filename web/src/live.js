@@ -15,7 +15,8 @@ renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
 renderer.setSize(innerWidth, innerHeight);
 renderer.xr.enabled = true;
 renderer.xr.setReferenceSpaceType("local-floor");
-document.body.append(renderer.domElement, VRButton.createButton(renderer));
+const features = { optionalFeatures: ["hand-tracking"] };
+document.body.append(renderer.domElement, VRButton.createButton(renderer, features));
 
 const camera = new PerspectiveCamera(50, innerWidth / innerHeight, 0.05, 100);
 camera.position.set(1.5, 1.7, 2.1);
