@@ -3,14 +3,24 @@
 import json
 import shutil
 
+import numpy as np
 import pytest
 
-from agents.comparison.report import LABELS, SCHEMA, SCHEMA_VERSION
+from agents.comparison.report import LABELS, SCHEMA, SCHEMA_VERSION, Row
 from agents.kinematic.store import read_system_card
 from agents.resolve import SHIPPED, shipped_systems
 from agents.shipping.cards import SOURCE, figures_text, rewrite_cards
 from agents.shipping.system_card import SHOWN
-from docs.figures.comparison_table import PAGES, rows_of, written
+from docs.figures.comparison_table import (
+    PAGES,
+    course,
+    full,
+    noise,
+    rows_of,
+    short,
+    starts,
+    written,
+)
 
 
 def report_of(names, folder, value=1.234):
@@ -60,3 +70,21 @@ def test_cards_get_new_figures_and_keep_the_rest(tmp_path):
     assert card.split("## Figures")[0] == before.split("## Figures")[0]
     assert (tmp_path / "dragposer" / "README.md").read_bytes() == other
     assert figures_text(tmp_path / SOURCE.name, tmp_path / "lgsik") in card
+
+
+def test_each_condition_has_its_column_and_the_usual_tables_have_none_of_them():
+    def row(scenario, error, course=(), **more):
+        return Row("a", scenario, 0, {}, {"mpjpe_cm": error, **more}, None, course_cm=list(course))
+
+    exact, white = row("6", 1.0, np.arange(50.0)), row("6, noise: white", 2.0)
+    assert "| a | 6 | 1.00 | 2.00 | - | - | - | - |" in noise([exact, white]).splitlines()
+    assert course([exact, white]).splitlines()[2:] == [
+        "| a | 6 | 0.00 | 1.00 | 2.00 | 3.00 | 5.00 | 6.00 | 10.00 | 20.00 | 40.00 |"
+    ]
+    own = row("HMD", 3.0, success_percent=90.0)
+    standing = row("HMD, from standing", 4.0, success_percent=80.0)
+    assert starts([own, standing]).splitlines()[2:] == [
+        "| a | HMD | 0 | 90.00 | - | 80.00 | 3.00 | - | 4.00 |"
+    ]
+    for text in (full([exact, white, own, standing]), short([exact, white, own, standing])):
+        assert "noise" not in text and "standing" not in text and "| a | 6 | " in text

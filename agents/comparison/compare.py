@@ -98,9 +98,10 @@ def compare(args: CompareArgs) -> int:
     there = {row.agent for row in rows}
     context["agents"] = {name: told for name, told in context["agents"].items() if name in there}
     write(rows, context, out)
+    exact = [row for row in rows if ", noise: " not in row.scenario] or rows
     for name, plot in FIGURES.items():
         with whole_file(out / name) as path:
-            plot(rows, path)
+            plot(exact, path)
     for name, draw in DRAWN.items():
         with whole_file(out / name) as path:
             draw(scored, path)
