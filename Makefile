@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV ?= .venv
 PIP_FLAGS ?=
 PYTEST_FLAGS ?= -n 2 --dist loadfile --no-loadscope-reorder
-# Measuring what the tests run of the code nearly doubles their time. CI sets COVERAGE= to leave it out.
+# Measuring what the tests run of the code makes them much slower. CI sets COVERAGE= to leave it out.
 COVERAGE ?= --cov=questsim --cov=envs --cov=agents --cov-report=term:skip-covered
 MOTIONS ?= synthetic
 OUT ?= runs/$(shell date +%Y%m%d-%H%M%S)
