@@ -55,6 +55,7 @@ function place(row) {
 }
 const request = navigator.xr.requestSession.bind(navigator.xr);
 navigator.xr.requestSession = async (...words) => {
+  window.features = words[1].optionalFeatures;
   const session = await request(...words);
   const next = session.requestAnimationFrame.bind(session);
   session.requestAnimationFrame = (call) => next(function shown(time, frame) {

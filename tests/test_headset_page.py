@@ -36,6 +36,8 @@ def test_person_in_an_emulated_headset_moves_the_avatar_as_the_recording_does(wa
         wear(tab, address, rows)
         pose = polled(tab, f"window.lastPose?.seen >= {rows[-1]['t'] - 1e-3} && window.lastPose")
         assert "device error" in tab.inner_text("#numbers")
+        # Without this feature a headset keeps bare hands to itself.
+        assert "hand-tracking" in tab.evaluate("features")
     came = read_recording(out)
     # Every row arrived, in order, as it was recorded.
     assert [f.time_s for f in came.frames] == pytest.approx([r["t"] for r in rows], abs=2e-5)
