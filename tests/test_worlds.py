@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import runpy
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +23,8 @@ from agents.evaluation.worlds import WORLDS, format_worlds, group_of, run_worlds
 from agents.training.options import TrainArgs
 from agents.training.train_policy import _outcome, train
 from envs.terrain import TERRAINS, Terrain, height_field
+from envs.terrain_kinds import SHAPES
+from questsim import reward
 from questsim.cli import main
 from questsim.errors import InputError
 from questsim.motion.library import save_library
@@ -215,7 +218,19 @@ def test_a_fine_tuning_that_found_nothing_better_says_so(tmp_path) -> None:
     assert "no better than its start yet; go on with --resume" in _outcome(tmp_path)
 
 
+@pytest.fixture
+def registries() -> Iterator[None]:
+    """Terms and terrains, as other tests expect them, after this one."""
+    kept = [(registry, dict(registry)) for registry in (reward.TERMS, TERRAINS, SHAPES)]
+    yield
+    for registry, before in kept:
+        registry.clear()
+        registry.update(before)
+    reward.RewardConfig.__dataclass_fields__ = reward._options()
+
+
 @pytest.mark.parametrize("name", ["new_terrain", "new_reward", "new_agent"])
+@pytest.mark.usefixtures("registries")
 def test_the_examples_run_and_are_short(name: str) -> None:
     path = ROOT / "docs" / "examples" / f"{name}.py"
     assert len(path.read_text().splitlines()) < 40

@@ -10,6 +10,7 @@ import multiprocessing
 import signal
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
@@ -42,8 +43,9 @@ def watched(function: Callable[[ArgsT], int], args: ArgsT) -> int:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    if receiver.poll():
-        return receiver.recv()
+    if receiver.poll():  # also true of a closed pipe without a message
+        with suppress(EOFError):
+            return receiver.recv()
     raise InputError(
         "the Ray node of this command died, and Ray ended the command",
         "--workers",
