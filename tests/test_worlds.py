@@ -7,6 +7,7 @@ import runpy
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -221,11 +222,12 @@ def test_a_fine_tuning_that_found_nothing_better_says_so(tmp_path) -> None:
 @pytest.fixture
 def registries() -> Iterator[None]:
     """Terms and terrains, as other tests expect them, after this one."""
-    kept = [(registry, dict(registry)) for registry in (reward.TERMS, TERRAINS, SHAPES)]
+    known: list[dict[str, Any]] = [reward.TERMS, TERRAINS, SHAPES]
+    before = [dict(registry) for registry in known]
     yield
-    for registry, before in kept:
+    for registry, kept in zip(known, before, strict=True):
         registry.clear()
-        registry.update(before)
+        registry.update(kept)
     reward.RewardConfig.__dataclass_fields__ = reward._options()
 
 
