@@ -13,8 +13,8 @@ from agents.agent import Needs
 from agents.evaluation.follow import evaluation_sim, follow
 from agents.policy.balance import FLIGHT, STANDING, Balance
 from agents.policy.networks import TorquePolicy
-from agents.policy.policy_agent import PolicyAgent, new_policy
-from agents.policy.spec import SPARSE_BLOCKS, TRACKER_BLOCKS, Layout, PolicySpec, initial_gains
+from agents.policy.policy_agent import PolicyAgent, head_alone, new_policy
+from agents.policy.spec import SPARSE_BLOCKS, TRACKER_BLOCKS, Layout, PolicySpec
 from agents.training.make_learner import copy_actor
 from envs.config import EnvConfig
 from envs.core import BatchSim
@@ -29,22 +29,9 @@ PRIVILEGED = EnvConfig(privileged=True, fixed_start=True)
 WALKS = load_motions("synthetic:walk")[:3]
 
 
-def policy_of(spec: PolicySpec) -> TorquePolicy:
-    torch.manual_seed(0)
-    body = build_body()
-    policy = new_policy(
-        spec,
-        Layout.of(observation_layout(PRIVILEGED)),
-        gains=initial_gains(body.torque_limits, body.damping),
-    )
-    last = policy.actor.layers[-1]
-    assert isinstance(last, torch.nn.Linear)
-    torch.nn.init.zeros_(last.weight)
-    return policy
-
-
 def teacher(balance: str) -> TorquePolicy:
-    return policy_of(PolicySpec(TRACKER_BLOCKS, (), (8,), reference_head=True, balance=balance))
+    spec = PolicySpec(TRACKER_BLOCKS, (), (8,), reference_head=True, balance=balance)
+    return head_alone(spec, Layout.of(observation_layout(PRIVILEGED)))
 
 
 def balance_of(sim: BatchSim, reference: bool) -> Balance:

@@ -12,9 +12,8 @@ from agents.agent import Needs
 from agents.evaluation.follow import evaluation_sim, follow
 from agents.policy.balance import SIZE, Balance
 from agents.policy.networks import TorquePolicy
-from agents.policy.policy_agent import PolicyAgent, new_policy
-from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec, initial_gains
-from agents.policy.stepping import stiffer
+from agents.policy.policy_agent import PolicyAgent, head_alone
+from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
 from agents.training.make_learner import copy_actor
 from envs.config import EnvConfig
 from envs.core import BatchSim
@@ -29,18 +28,8 @@ PRIVILEGED = EnvConfig(privileged=True, fixed_start=True)
 
 
 def untrained(balance: str) -> TorquePolicy:
-    torch.manual_seed(0)
-    body = build_body()
-    gains = initial_gains(body.torque_limits, body.damping)
-    policy = new_policy(
-        PolicySpec(TRACKER_BLOCKS, (), (8,), reference_head=True, balance=balance),
-        Layout.of(observation_layout(PRIVILEGED)),
-        gains=gains * stiffer() if balance == "steps" else gains,
-    )
-    last = policy.actor.layers[-1]
-    assert isinstance(last, torch.nn.Linear)
-    torch.nn.init.zeros_(last.weight)
-    return policy
+    spec = PolicySpec(TRACKER_BLOCKS, (), (8,), reference_head=True, balance=balance)
+    return head_alone(spec, Layout.of(observation_layout(PRIVILEGED)))
 
 
 def test_a_foot_in_swing_is_pulled_as_by_a_force_and_one_that_stands_is_not():

@@ -137,20 +137,22 @@ class Balance(nn.Module):
         arm = state.rotated(offset)
         centre = self._mean(state.position + arm)
         velocity = self._mean(state.velocity + torch.linalg.cross(state.spin, arm))
-        basis = self._basis(state, centre)
+        hinges = state.hinges()
+        basis = self._basis(state, hinges, centre)
         if self.errors is None:
             place, speed = self._from_feet(state, centre, velocity)
-        else:
-            errors = obs.index_select(1, self.errors).unflatten(1, (NUM_LINKS, 4, 3))
-            place, speed = self._from_reference(state, errors, offset, arm)
-            # The torque acts until the next frame, so the reference is taken midway.
-            midway = place + (0.5 * POLICY_TIMESTEP_S) * (speed + velocity)
-            if self.stepping is not None:
-                capture = -(POSITION * place + speed / CAPTURE_RATE)
-                steps = self.stepping.terms(state, errors, capture, self.strength, self.weight_n)
-                return torch.cat([basis.flatten(1), midway, speed, steps], dim=1)
-            place = midway
-        return torch.cat([basis.flatten(1), place, speed], dim=1)
+            return torch.cat([basis.flatten(1), place, speed], dim=1)
+        errors = obs.index_select(1, self.errors).unflatten(1, (NUM_LINKS, 4, 3))
+        place, speed = self._from_reference(state, errors, offset, arm)
+        # The torque acts until the next frame, so the reference is taken midway.
+        midway = place + (0.5 * POLICY_TIMESTEP_S) * (speed + velocity)
+        terms = [basis.flatten(1), midway, speed]
+        if self.stepping is not None:
+            capture = -(POSITION * place + speed / CAPTURE_RATE)
+            terms.append(
+                self.stepping.terms(state, hinges, errors, capture, self.strength, self.weight_n)
+            )
+        return torch.cat(terms, dim=1)
 
     def forward(self, terms: Tensor, push: Tensor | None = None) -> Tensor:
         """The balance part of the action ``(n, 33)`` for rows of ``terms``.
@@ -185,9 +187,9 @@ class Balance(nn.Module):
         """Mass-weighted mean over links: ``(n, 3)`` of ``(n, 16, 3)``."""
         return (of_links * self.mass_share[:, None]).sum(1)
 
-    def _basis(self, state: State, centre: Tensor) -> Tensor:
+    def _basis(self, state: State, hinges: tuple[Tensor, Tensor], centre: Tensor) -> Tensor:
         """``(n, 12, 3)`` action of each hinge of the legs for an acceleration."""
-        axes, anchors = state.hinges()
+        axes, anchors = hinges
         # -(axis x (c - anchor)) . F: the hinge torque for which the floor force is F.
         lever = torch.linalg.cross(centre[:, None] - anchors, axes)
         load = state.load / (state.load.sum(1, keepdim=True) + FLIGHT * self.weight_n)

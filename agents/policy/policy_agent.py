@@ -6,11 +6,14 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from torch import nn
 
 from agents.agent import Needs
 from agents.policy.networks import TorquePolicy
 from agents.policy.spec import Layout, PolicySpec
+from agents.policy.stepping import start_gains
 from questsim.bodies import OwnBody
+from questsim.body import build_body
 from questsim.errors import InputError
 from questsim.skeleton import NUM_DOFS
 
@@ -72,6 +75,17 @@ def check_body(name: str, trained: OwnBody | None, found: OwnBody | None) -> Non
         name,
         f"add --body {trained.path}",
     )
+
+
+def head_alone(spec: PolicySpec, layout: Layout) -> TorquePolicy:
+    """A policy for our body whose network outputs zero, so that it acts by its head alone."""
+    body = build_body()
+    gains = start_gains(spec.balance, body.torque_limits, body.damping)
+    policy = new_policy(spec, layout, gains=gains)
+    last = policy.actor.layers[-1]
+    assert isinstance(last, nn.Linear)
+    nn.init.zeros_(last.weight)
+    return policy
 
 
 class Tracker(PolicyAgent):

@@ -23,6 +23,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from agents.policy.spec import initial_gains
 from questsim.skeleton import DOFS, FOOT_LINKS, NUM_DOFS
 
 if TYPE_CHECKING:
@@ -52,14 +53,22 @@ SOFTER: dict[str, float] = dict(zip(_HINGES, (1.1, 1.1, 1.1, 1.6, 1.4, 1.4), str
 """A spring of a leg in swing is weaker by the factor exp(-value)."""
 STIFFER: dict[str, float] = dict(zip(_HINGES, (0.85, 2.0, 1.1, 1.1, 1.6, 1.3), strict=True))
 TRUNK, ARMS = 1.35, 0.5
-"""Factors of the springs' start values, see ``initial_gains``; ``ARMS`` is also of the neck."""
+"""Factors of ``start_gains``; ``ARMS`` is also of the neck."""
 HIPS = torch.tensor([1.0, 1.0, 1.0, 0.0, 0.0, 0.0] * 2)
 
 
-def stiffer() -> np.ndarray:
-    """``STIFFER`` of all hinges, ``(33,)``."""
+def start_gains(balance: str, torque_limits: np.ndarray, damping: np.ndarray) -> np.ndarray:
+    """Start values of the head's springs, as action per radian ``(33,)``.
+
+    Args:
+        balance: of the policy's spec.
+        torque_limits, damping: see ``initial_gains``.
+    """
+    gains = initial_gains(torque_limits, damping)
+    if balance != "steps":
+        return gains
     rest = [TRUNK if dof.startswith(("spine", "chest")) else ARMS for dof in DOFS[LEG_DOFS:]]
-    return np.array([*_by_hinge(STIFFER), *rest])
+    return gains * [*_by_hinge(STIFFER), *rest]
 
 
 def _by_hinge(values: Mapping[str, float]) -> list[float]:
@@ -92,6 +101,7 @@ class Stepping(nn.Module):
     def terms(
         self,
         state: State,
+        hinges: tuple[Tensor, Tensor],
         errors: Tensor,
         capture: Tensor,
         strength: Tensor,
@@ -101,6 +111,7 @@ class Stepping(nn.Module):
 
         Args:
             state: of ``n`` avatars.
+            hinges: axes of the legs' hinges and points on them, see ``State.hinges``.
             errors: ``(n, 16, 4, 3)`` the observation's tracking errors.
             capture: ``(n, 3)`` capture point, avatar minus reference, in m.
             strength: ``(12,)`` mass over torque limit of each hinge, kg / (N m).
@@ -119,7 +130,7 @@ class Stepping(nn.Module):
             ],
             dim=1,
         )  # (n, law, foot, 3)
-        axes, anchors = state.hinges()
+        axes, anchors = hinges
         foot = state.position[:, feet].repeat_interleave(LEG_DOFS // 2, dim=1)
         lever = torch.linalg.cross(axes, foot - anchors) * strength[:, None]
         on_foot = (forces * swing[:, None, :, None]).repeat_interleave(LEG_DOFS // 2, dim=2)

@@ -13,8 +13,8 @@ from agents.policy.balance import PUSHES
 from agents.policy.checkpoint import find_policy, find_teacher, load_critic, load_policy
 from agents.policy.networks import TorquePolicy
 from agents.policy.policy_agent import PolicyAgent, check_body, new_policy
-from agents.policy.spec import Layout, initial_gains, noise_by_joint
-from agents.policy.stepping import stiffer
+from agents.policy.spec import Layout, noise_by_joint
+from agents.policy.stepping import start_gains
 from agents.training.dagger import Dagger, DaggerConfig
 from agents.training.learner import Learner
 from agents.training.ppo import AdaptivePPO
@@ -64,12 +64,6 @@ def _noise(ppo: PPOConfig, env: QuestVecEnv | ActorPool) -> np.ndarray:
     return noise_by_joint(strong, ppo.noise_legs_and_trunk, ppo.noise_arms_and_neck)
 
 
-def _gains(config: StageConfig, env: QuestVecEnv | ActorPool) -> np.ndarray:
-    """Start values of the springs, as action per radian."""
-    gains = initial_gains(env.torque_limits, env.damping)
-    return gains * stiffer() if config.policy.balance == "steps" else gains
-
-
 def make_ppo(
     config: StageConfig, ppo: PPOConfig, env: QuestVecEnv | ActorPool, seed: int, threads: int = 1
 ) -> AdaptivePPO:
@@ -96,7 +90,7 @@ def make_ppo(
         policy_kwargs={
             "spec": config.policy,
             "layout": Layout.of(env.layout),
-            "gains": _gains(config, env),
+            "gains": start_gains(config.policy.balance, env.torque_limits, env.damping),
             "noise": noise,
             "learn_noise": ppo.learn_noise,
             "critic_learning_rate": ppo.critic_learning_rate,

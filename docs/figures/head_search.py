@@ -21,13 +21,12 @@ import torch
 import tyro
 
 from agents.policy.networks import TorquePolicy
-from agents.policy.policy_agent import new_policy
-from agents.policy.spec import Layout, initial_gains
-from agents.policy.stepping import LEG_DOFS, stiffer
+from agents.policy.policy_agent import head_alone
+from agents.policy.spec import Layout
+from agents.policy.stepping import LEG_DOFS
 from agents.training.presets import TEACHER, TRACKING_REWARD
 from envs.config import EnvConfig
 from envs.core import BatchSim
-from questsim.body import build_body
 from questsim.motion.clip import Clip
 from questsim.motion.spec import load_motions
 from questsim.skeleton import DOFS
@@ -68,7 +67,8 @@ def main(args: Args) -> None:
     torch.set_grad_enabled(False)
     clips = load_motions(args.motions)
     sim = BatchSim(list(clips) * args.population, CONFIG)
-    policies = [_untrained(sim) for _ in range(args.population)]
+    spec = replace(TEACHER, critic_blocks=(), hidden=(8,))
+    policies = [head_alone(spec, Layout.of(sim.layout)) for _ in range(args.population)]
     first = {name: value.clone() for name, value in policies[0].state_dict().items()}
     rng = np.random.default_rng(args.seed)
     mean, sigma = np.zeros(len(NAMES)), np.full(len(NAMES), SIGMA)
@@ -86,20 +86,6 @@ def main(args: Args) -> None:
         sigma *= np.exp(0.08 * np.clip(weights @ (drawn[best] ** 2 - 1.0), -1.0, 1.0))
         print(f"{generation}: mean {value.mean():.3f}, best {value.max():.3f}", flush=True)
     print(", ".join(f"{n} x {math.exp(x):.2f}" for n, x in zip(NAMES, mean, strict=True)))
-
-
-def _untrained(sim: BatchSim) -> TorquePolicy:
-    """A teacher that outputs its head alone."""
-    body = build_body()
-    policy = new_policy(
-        replace(TEACHER, critic_blocks=(), hidden=(8,), balance="steps"),
-        Layout.of(sim.layout),
-        gains=initial_gains(body.torque_limits, body.damping) * stiffer(),
-    )
-    last = policy.actor.layers[-1]
-    assert isinstance(last, torch.nn.Linear)
-    torch.nn.init.zeros_(last.weight)
-    return policy
 
 
 def _set(policy: TorquePolicy, first: dict[str, torch.Tensor], row: np.ndarray) -> None:
