@@ -64,6 +64,7 @@ class QuestVecEnv(VecEnv, EzPickle):
         self.render_mode, given = render_mode, seeds_of(seed, 1)[0]
         clips, task = clips_of(motions), config_of(config, options)
         self.sim = BatchSim(clips, task, num_envs, given or 0, num_threads, shown, begin_at)
+        self.clips = list(clips)
         self._begin_at = begin_at
         self._num_threads = num_threads
         self._unseeded = given is None and not task.fixed_start
@@ -106,7 +107,12 @@ class QuestVecEnv(VecEnv, EzPickle):
             clips, self.sim.config, self.num_envs, seed, self._num_threads, begin_at=self._begin_at
         )
         self.sim.close()
-        self.sim, self._pictures, self._restored = sim, Pictures(sim), False
+        self.clips, self.sim, self._pictures, self._restored = (
+            list(clips),
+            sim,
+            Pictures(sim),
+            False,
+        )
 
     def reset(self) -> np.ndarray:
         """Begin an episode in every environment; observations ``(n, size)``.

@@ -37,7 +37,7 @@ def test_each_avatar_gets_the_label_of_its_clips_teacher() -> None:
     general.bind(env)
     special.bind(env)
     observations = torch.from_numpy(np.asarray(env.reset()))
-    teachers = Teachers(general.policy, [(special.policy, ("sq*",))], env)
+    teachers = Teachers(general, [(special, ("sq*",))], env)
     with torch.no_grad():
         labels = teachers.action_mean(observations)
         of_each = [agent.policy.action_mean(observations) for agent in (general, special)]
@@ -46,12 +46,30 @@ def test_each_avatar_gets_the_label_of_its_clips_teacher() -> None:
     expected = torch.where(torch.from_numpy(squats)[:, None], of_each[1], of_each[0])
     torch.testing.assert_close(labels, expected, rtol=1e-4, atol=1e-5)
     with pytest.raises(InputError, match=r"no clip is of a kind 'hop'.*squat, stand"):
-        Teachers(general.policy, [(special.policy, ("hop",))], env)
+        Teachers(general, [(special, ("hop",))], env)
     env.close()
 
 
-@pytest.mark.parametrize("text", ["tracker", "tracker:", ":walk", "tracker:walk++run"])
-def test_a_specialist_without_name_or_kinds_is_refused(text: str) -> None:
+def test_without_kinds_each_clip_has_the_teacher_that_follows_it_best() -> None:
+    general = load_agent("tracker")
+    assert isinstance(general, PolicyAgent)
+    limp = load_agent("tracker")
+    assert isinstance(limp, PolicyAgent)
+    assert limp.policy.head is not None
+    with torch.no_grad():
+        limp.policy.head.log_gain.sub_(5.0)
+        limp.policy.actor.layers[-1].weight.zero_()  # pyright: ignore
+    env = QuestVecEnv(load_motions("synthetic:stand"), env_config(general), 2, seed=3)
+    general.bind(env)
+    limp.bind(env)
+    count = len(env.clips)
+    assert Teachers(general, [(limp, ())], env).clips_of_each() == [count, 0]
+    assert Teachers(limp, [(general, ())], env).clips_of_each() == [0, count]
+    env.close()
+
+
+@pytest.mark.parametrize("text", ["", "tracker:", ":walk", "tracker:walk++run"])
+def test_a_specialist_without_name_or_with_empty_kinds_is_refused(text: str) -> None:
     with pytest.raises(InputError, match=r"FOLDER:KIND\+KIND"):
         read_specialist(text)
 

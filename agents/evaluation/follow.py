@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -76,6 +76,13 @@ def evaluation_sim(
         begin_at: estimates in which episodes begin, see ``BatchSim``.
     """
     return BatchSim(clips, config, len(clips), seed, threads, shown, begin_at)
+
+
+def from_first_frames(config: EnvConfig) -> EnvConfig:
+    """A training's conditions, from each clip's first frame, without starts in estimates."""
+    starts = None if config.starts is None else replace(config.starts, estimate=0.0)
+    limit = EnvConfig().max_error_m
+    return replace(config, fixed_start=True, max_error_m=limit, starts=starts)
 
 
 def follow(

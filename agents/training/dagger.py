@@ -32,6 +32,7 @@ class DaggerConfig:
         mix_steps: environment steps over which the share of environments that the teacher
             drives falls from 1 to 0.
         exploration: noise on the executed actions, as a share of the teacher's noise.
+        learn_head: whether the gains of the student's torque head are trained too.
     """
 
     rollout_steps: int = 16
@@ -42,6 +43,7 @@ class DaggerConfig:
     final_learning_rate: float = 1e-4
     mix_steps: int = 400_000
     exploration: float = 0.3
+    learn_head: bool = True
 
 
 class Memory:
@@ -104,6 +106,8 @@ class Dagger:
         self.env, self.teacher, self.policy, self.config = env, teacher.policy, student, config
         # Labels are computed in float32; only the student's training uses low precision.
         student.use_bfloat16(True)
+        if student.head is not None:
+            student.head.requires_grad_(config.learn_head)
         self.num_timesteps = 0
         self.generator = torch.Generator().manual_seed(seed)
         inputs = max(stop for _, stop in student.layout.blocks.values())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,7 +32,12 @@ if TYPE_CHECKING:
 
 
 def make_learner(
-    name: str, args: TrainArgs, config: StageConfig, env: QuestVecEnv | ActorPool, seed: int
+    name: str,
+    args: TrainArgs,
+    config: StageConfig,
+    env: QuestVecEnv | ActorPool,
+    seed: int,
+    say: Callable[[str], None],
 ) -> Learner:
     """The learner of a stage, before its first step.
 
@@ -41,12 +47,13 @@ def make_learner(
         config: the stage's preset.
         env: the training environment.
         seed: seed of all its random numbers.
+        say: is called with lines for the user.
 
     Raises:
         InputError: a policy that it builds on is missing or does not fit.
     """
     if isinstance(config.learning, DaggerConfig):
-        return _student(args, config, config.learning, env, seed)
+        return _student(args, config, config.learning, env, seed, say)
     learner = make_ppo(config, config.learning, env, seed, args.threads)
     if name == "teacher" and args.start is not None:
         _begin_with(learner.policy, args.start, env.config.body)
@@ -104,6 +111,7 @@ def _student(
     learning: DaggerConfig,
     env: QuestVecEnv | ActorPool,
     seed: int,
+    say: Callable[[str], None],
 ) -> Dagger:
     where = args.teacher or args.out / "teacher"
     teacher = load_policy(find_teacher(where))
@@ -125,20 +133,26 @@ def _student(
             learnt = {"log_gain": learnt["log_gain"]}
         student.head.load_state_dict(learnt, strict=False)
     student.log_std.data.copy_(teacher.policy.log_std.data)
-    return Dagger(
-        env, teacher, student, learning, seed, args.threads, _specialists(args, teacher, env)
-    )
+    labels = _specialists(args, teacher, env, say)
+    return Dagger(env, teacher, student, learning, seed, args.threads, labels)
 
 
 def _specialists(
-    args: TrainArgs, general: PolicyAgent, env: QuestVecEnv | ActorPool
+    args: TrainArgs,
+    general: PolicyAgent,
+    env: QuestVecEnv | ActorPool,
+    say: Callable[[str], None],
 ) -> Teachers | None:
     if not args.specialists:
         return None
     assert isinstance(env, QuestVecEnv)  # with --workers they are refused before
     read = [read_specialist(text) for text in args.specialists]
-    policies = [(load_specialist(s, general, env), s.kinds) for s in read]
-    return Teachers(general.policy, policies, env)
+    agents = [(load_specialist(s, general, env), s.kinds) for s in read]
+    teachers = Teachers(general, agents, env, args.threads)
+    names = ["the general teacher", *(str(specialist.where) for specialist in read)]
+    counts = zip(teachers.clips_of_each(), names, strict=True)
+    say("teachers: " + ", ".join(f"{name} of {count} clips" for count, name in counts))
+    return teachers
 
 
 def _starting_policy(where: Path, env: QuestVecEnv | ActorPool) -> TorquePolicy:

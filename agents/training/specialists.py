@@ -1,9 +1,9 @@
-"""Teachers of single kinds of motion, asked instead of the general teacher for these kinds."""
+"""Teachers asked instead of the general one: for kinds of motion, or clips they follow better."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 
@@ -11,42 +11,50 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from agents.evaluation.follow import evaluation_sim, follow, from_first_frames
 from agents.policy.checkpoint import find_teacher, load_policy
-from agents.policy.networks import TorquePolicy
 from agents.policy.policy_agent import PolicyAgent
 from agents.resolve import from_anywhere
 from envs import QuestVecEnv
 from questsim.errors import InputError
 
 OPTION = "--specialists"
+BATCH = 256
+"""Clips that are followed at a time to find the best teacher of each."""
 
 
 @dataclass(frozen=True)
 class Specialist:
-    """A teacher, and patterns of the kinds of motion for which it is asked."""
+    """A teacher, and patterns of the kinds of motion for which it is asked.
+
+    Without patterns it is asked for the clips that it follows better than the others do.
+    """
 
     where: Path
     kinds: tuple[str, ...]
 
     def __str__(self) -> str:
-        return f"{self.where}:{'+'.join(self.kinds)}"
+        return f"{self.where}:{'+'.join(self.kinds)}" if self.kinds else str(self.where)
 
 
 def read_specialist(text: str) -> Specialist:
-    """Read ``FOLDER:KIND+KIND`` or ``NAME:KIND+KIND``; kinds may be patterns such as ``side-*``.
+    """Read ``FOLDER:KIND+KIND`` or ``FOLDER``; kinds may be patterns such as ``side-*``.
+
+    A shipped name may stand for the folder.
 
     Raises:
         InputError: it is not of this form.
     """
-    where, colon, kinds = text.rpartition(":")
-    patterns = tuple(kind.strip() for kind in kinds.split("+"))
-    if not (colon and where and all(patterns)):
-        raise InputError(f"is {text!r}", OPTION, "write FOLDER:KIND+KIND, e.g. runs/steps:side-*")
+    where, colon, kinds = text.rpartition(":") if ":" in text else (text, "", "")
+    patterns = tuple(kind.strip() for kind in kinds.split("+")) if colon else ()
+    if not where or not all(patterns):
+        fix = "write FOLDER, or FOLDER:KIND+KIND, e.g. runs/steps:side-*"
+        raise InputError(f"is {text!r}", OPTION, fix)
     return Specialist(from_anywhere(Path(where)) or Path(where), patterns)
 
 
-def load_specialist(specialist: Specialist, general: PolicyAgent, env: QuestVecEnv) -> TorquePolicy:
-    """The policy of a specialist, which observes what the general teacher does.
+def load_specialist(specialist: Specialist, general: PolicyAgent, env: QuestVecEnv) -> PolicyAgent:
+    """A specialist, which observes what the general teacher does.
 
     Raises:
         InputError: there is no such teacher, it does not fit ``env``, or reads other observations.
@@ -57,16 +65,19 @@ def load_specialist(specialist: Specialist, general: PolicyAgent, env: QuestVecE
     agent.bind(env)
     if agent.policy.layout != general.policy.layout:
         raise InputError("observes other values than --teacher", specialist.where)
-    return agent.policy
+    return agent
 
 
 class Teachers:
-    """Labels each avatar's state by the teacher of its clip's kind.
+    """Labels each avatar's state by the teacher of its clip.
 
     Args:
-        general: the teacher of all kinds without a specialist.
-        specialists: policies with the patterns of their kinds; the first that fits a kind counts.
+        general: the teacher of all clips without a specialist.
+        specialists: agents with the patterns of their kinds; the first that fits a kind counts. Of
+            the agents without patterns and the general teacher, each clip has the one with the
+            highest mean reward over the clip.
         env: the training environment; its clips may change.
+        threads: physics threads of the comparison.
 
     Raises:
         InputError: a pattern fits no kind of the clips.
@@ -74,27 +85,58 @@ class Teachers:
 
     def __init__(
         self,
-        general: TorquePolicy,
-        specialists: Sequence[tuple[TorquePolicy, tuple[str, ...]]],
+        general: PolicyAgent,
+        specialists: Sequence[tuple[PolicyAgent, tuple[str, ...]]],
         env: QuestVecEnv,
+        threads: int = 1,
     ) -> None:
-        self._policies = [general, *(policy for policy, _ in specialists)]
+        self._agents = [general, *(agent for agent, _ in specialists)]
         self._kinds = [kinds for _, kinds in specialists]
-        self._env = env
+        self._env, self._threads = env, threads
         self._reference = env.sim.reference
-        self._teacher_of_clip = self._assign()
         known = sorted(set(self._reference.kinds))
         for pattern in (pattern for kinds in self._kinds for pattern in kinds):
             if not any(fnmatchcase(kind, pattern) for kind in known):
                 names = ", ".join(kind for kind in known if kind) or "none"
                 raise InputError(f"no clip is of a kind {pattern!r}", OPTION, f"there is {names}")
+        self._teacher_of_clip = self._assign()
+
+    def clips_of_each(self) -> list[int]:
+        """Number of clips of the general teacher and of each specialist."""
+        return np.bincount(self._teacher_of_clip, minlength=len(self._agents)).tolist()
 
     def _assign(self) -> np.ndarray:
-        of_kind = {"": 0}
-        for kind in set(self._reference.kinds):
+        teacher = self._best_of_each_clip()
+        for clip, kind in enumerate(self._reference.kinds):
             fits = [any(fnmatchcase(kind, p) for p in kinds) for kinds in self._kinds]
-            of_kind[kind] = fits.index(True) + 1 if True in fits else 0
-        return np.array([of_kind[kind] for kind in self._reference.kinds])
+            if kind and True in fits:
+                teacher[clip] = fits.index(True) + 1
+        return teacher
+
+    def _best_of_each_clip(self) -> np.ndarray:
+        """Numbers ``(C,)`` of the best agents among the general one and those without kinds."""
+        able = [0, *(i + 1 for i, kinds in enumerate(self._kinds) if not kinds)]
+        best = np.zeros(len(self._reference.kinds), np.int64)
+        if len(able) == 1:
+            return best
+        clips = self._env.clips
+        # Undisturbed, since the agents would be disturbed differently.
+        config = replace(from_first_frames(self._env.sim.config), starts=None, pushes=None)
+        # Clips of about the same length, so that few avatars wait for the longest one.
+        order = np.argsort([len(clip) for clip in clips], kind="stable")
+        for rows in np.split(order, range(BATCH, len(order), BATCH)):
+            part = [clips[row] for row in rows]
+            sim = evaluation_sim(part, config, self._threads)
+            scores = []
+            for number in able:
+                self._agents[number].bind(sim)
+                followed = follow(self._agents[number], sim, part)
+                scores.append(followed.total_reward / followed.length)
+            sim.close()
+            best[rows] = np.array(able)[np.argmax(scores, axis=0)]
+        for agent in self._agents:
+            agent.bind(self._env)
+        return best
 
     def action_mean(self, observations: Tensor) -> Tensor:
         """Actions ``(n, 33)`` of each avatar's teacher for its observation ``(n, D)``."""
@@ -102,9 +144,10 @@ class Teachers:
             self._reference = self._env.sim.reference
             self._teacher_of_clip = self._assign()
         chosen = torch.from_numpy(self._teacher_of_clip[self._env.sim.clip])
-        labels = observations.new_empty(len(observations), self._policies[0].log_std.numel())
-        for number, policy in enumerate(self._policies):
+        hinges = self._agents[0].policy.log_std.numel()
+        labels = observations.new_empty(len(observations), hinges)
+        for number, agent in enumerate(self._agents):
             rows = torch.nonzero(chosen == number)[:, 0]
             if len(rows):
-                labels[rows] = policy.action_mean(observations[rows])
+                labels[rows] = agent.policy.action_mean(observations[rows])
         return labels

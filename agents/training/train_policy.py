@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from agents.agent import Needs
-from agents.evaluation.follow import Followed, evaluation_sim, follow
+from agents.evaluation.follow import Followed, evaluation_sim, follow, from_first_frames
 from agents.overrides import with_overrides
 from agents.policy.checkpoint import CARD_FILE, find_policy, read_card
 from agents.policy.policy_agent import PolicyAgent
@@ -239,7 +239,7 @@ def _run_stage(
     env = batch.make() if args.workers == 0 else ActorPool(batch, args.workers)
     sim = evaluation_sim(
         validation,
-        _validation_config(env_config),
+        from_first_frames(env_config),
         args.threads,
         shown=seen(validation),
     )
@@ -249,7 +249,7 @@ def _run_stage(
         return follow(agent, sim, validation)
 
     try:
-        learner = make_learner(name, args, config, env, seed)
+        learner = make_learner(name, args, config, env, seed, display.say)
         stage = Stage(
             name=name,
             learner=learner,
@@ -274,22 +274,14 @@ def _run_stage(
         if args.vary:
             redraw = redrawing(fresh, env, learner, draw, stage.beside)
             stage.before_iteration = _both(stage.before_iteration, redraw)
-        if args.resume and (stage.folder / "last" / CARD_FILE).exists():
-            notice = stage.resume()
-            if notice is not None:
-                display.say(notice)
+        resumes = args.resume and (stage.folder / "last" / CARD_FILE).exists()
+        if resumes and (notice := stage.resume()) is not None:
+            display.say(notice)
         begin()
         stage.run(display, stopper)
     finally:
         sim.close()
         env.close()
-
-
-def _validation_config(config: EnvConfig) -> EnvConfig:
-    """Like the training's, from each clip's first frame; its clips have no estimates."""
-    starts = None if config.starts is None else replace(config.starts, estimate=0.0)
-    limit = EnvConfig().max_error_m
-    return replace(config, fixed_start=True, max_error_m=limit, starts=starts)
 
 
 def _env_config(args: TrainArgs, preset: Preset, config: StageConfig) -> EnvConfig:
