@@ -157,7 +157,8 @@ class Dagger:
             newest = self.config.rollout_steps * self.env.num_envs
             end = self.memory._next or len(self.memory.labels)
             policy.update_norm(self.memory.observations[max(0, end - newest) : end])
-        total, parameters = 0.0, [p for p in policy.actor_parameters() if p is not policy.log_std]
+        actor = [p for p in policy.actor_parameters() if p.requires_grad]
+        total, parameters = 0.0, [p for p in actor if p is not policy.log_std]
         for group in optimizer.param_groups:
             group["lr"] = rate
         for _ in range(self.config.updates):
