@@ -11,7 +11,7 @@ import torch
 
 from agents.agent import Needs
 from agents.evaluation.follow import evaluation_sim, follow
-from agents.policy.balance import FLIGHT, STANDING, Balance
+from agents.policy.balance import FLIGHT, OUTPUTS, STANDING, Balance
 from agents.policy.networks import TorquePolicy
 from agents.policy.policy_agent import PolicyAgent, head_alone, new_policy
 from agents.policy.spec import SPARSE_BLOCKS, TRACKER_BLOCKS, Layout, PolicySpec
@@ -139,15 +139,22 @@ def test_a_students_balance_pulls_towards_midway_between_the_feet(walking):
         assert found[2] == 0.0
 
 
-def test_a_policy_without_balance_can_be_trained_on_with_it():
+@pytest.mark.parametrize(
+    ("before", "after"), [("none", "feet"), ("feet", "placement"), ("none", "placement")]
+)
+def test_a_policy_can_be_trained_on_with_more_terms_in_its_head(before: str, after: str):
     sparse = Layout.of(observation_layout(PRIVILEGED)).within(SPARSE_BLOCKS)
-    old = new_policy(PolicySpec(critic_blocks=(), hidden=(8,)), sparse)
-    new = new_policy(PolicySpec(critic_blocks=(), hidden=(8,), balance="feet"), sparse)
+    old, new = (
+        new_policy(PolicySpec(critic_blocks=(), hidden=(8,), balance=balance), sparse)
+        for balance in (before, after)
+    )
     copy_actor(old, new, "old")  # type: ignore[arg-type]
     obs = torch.randn(5, max(stop for _, stop in sparse.blocks.values()))
     outputs = new.actor(obs)
-    torch.testing.assert_close(outputs[:, :33], old.actor(obs))
-    assert not outputs[:, 33:].any()
+    kept = old.actor(obs).shape[1]
+    torch.testing.assert_close(outputs[:, :kept], old.actor(obs))
+    assert outputs.shape[1] == 33 + OUTPUTS[after]
+    assert not outputs[:, kept:].any()
 
 
 def test_balance_needs_the_head_and_a_known_name():

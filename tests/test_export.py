@@ -53,7 +53,7 @@ def agent_for(config: EnvConfig, **changes) -> PolicyAgent:
     torch.manual_seed(1)
     shape = {"critic_blocks": (), "hidden": (64, 32), "activation": "elu"}
     if changes.get("torque_head", True) and config.body_preset == "default":
-        shape["balance"] = "feet"
+        shape["balance"] = "placement"
     spec = PolicySpec(**shape | changes)
     layout = Layout.of(observation_layout(config)).within(spec.actor_blocks)
     policy = new_policy(spec, layout, gains=np.linspace(0.2, 2.0, NUM_DOFS))

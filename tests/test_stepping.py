@@ -19,6 +19,7 @@ from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.layout import observation_layout
 from envs.starts import Starts
+from questsim import rotations
 from questsim.body import build_body
 from questsim.motion.spec import load_motions
 from questsim.skeleton import FOOT_LINKS
@@ -57,6 +58,19 @@ def test_a_foot_in_swing_is_pulled_as_by_a_force_and_one_that_stands_is_not():
     force = model.body_mass.sum() * missing * [1.0, 1.0, 0.0]
     expected = (jacobian[:, 6:12].T @ force) / build_body().torque_limits[:6]
     np.testing.assert_allclose(to_place[0, :6], expected, atol=1e-4)
+
+    # A student's network asks for the same force; a foot that stands gets none.
+    student = Balance(Layout.of(sim.layout), "placement")
+    rows = student.terms(torch.from_numpy(sim.observation))
+    wanted = np.zeros((2, 10), np.float32)
+    yaw = rotations.heading(sim.qpos[0, 3:7])
+    turned = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+    wanted[:, 3:5] = wanted[:, 5:7] = turned @ missing[:2]
+    with torch.no_grad():
+        legs = (student(rows, torch.from_numpy(wanted)) - student(rows)).numpy()
+    np.testing.assert_allclose(legs[0, :6], expected, atol=1e-4)
+    assert not legs[0, 6:].any()
+    assert not legs[1].any()
 
 
 def test_with_nothing_learnt_it_follows_steps_that_balance_alone_does_not():

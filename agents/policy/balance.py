@@ -21,7 +21,14 @@ import torch
 from torch import Tensor, nn
 
 from agents.policy.spec import Layout
-from agents.policy.stepping import CAPTURE_RATE, LEG_DOFS, POSITION, Stepping
+from agents.policy.stepping import (
+    CAPTURE_RATE,
+    LEG_DOFS,
+    PLACEMENTS,
+    POSITION,
+    Placement,
+    Stepping,
+)
 from questsim.body import DEFAULT_HEIGHT_M, POLICY_TIMESTEP_S, build_body
 from questsim.skeleton import DOFS, FOOT_LINKS, LINKS, NUM_DOFS, NUM_LINKS
 
@@ -29,6 +36,10 @@ PUSHES = 3
 """An acceleration: forwards, left and up."""
 SIZE = PUSHES * (LEG_DOFS + 2)
 """Size of the terms of one observation: basis, position error and velocity error."""
+
+
+OUTPUTS = {"feet": PUSHES, "placement": PUSHES + PLACEMENTS}
+"""Outputs of a student's network for the term, by the kind of balance."""
 
 
 class Gains(NamedTuple):
@@ -80,7 +91,8 @@ class Balance(nn.Module):
         kind: ``reference``: the target is the reference's centre of mass, from the observation's
             ``tracking_errors``. ``steps``: so too, with the laws of ``stepping.py``. ``feet``: the
             target is midway between the feet and moves with them: the average position in both
-            stance and gait. The network then adds the difference to the reference.
+            stance and gait. The network then adds the difference to the reference. ``placement``:
+            the same, with ``Placement``.
     """
 
     columns: Tensor
@@ -96,8 +108,9 @@ class Balance(nn.Module):
         model = build_body().model
         mass = model.body_mass[1 : 1 + NUM_LINKS]
         limits = model.actuator_ctrlrange[:LEG_DOFS, 1]
-        self.reference = kind != "feet"
+        self.reference = kind not in OUTPUTS
         self.stepping = Stepping() if kind == "steps" else None
+        self.placement = Placement() if kind == "placement" else None
         first = STEPPING if kind == "steps" else STANDING
 
         def buffer(name: str, value: np.ndarray) -> None:
@@ -130,7 +143,8 @@ class Balance(nn.Module):
         """Terms ``(n, SIZE)`` of observations ``(n, D)``, in which the torques are linear.
 
         They are the actions of the 12 hinges per unit acceleration in S, ``(12, 3)``, and position
-        and velocity errors of the centre of mass, three numbers each. Those of ``Stepping`` follow.
+        and velocity errors of the centre of mass, three numbers each. Those of ``Stepping`` or
+        ``Placement`` follow.
         """
         state = State(obs.index_select(1, self.columns))
         offset = self.centre * state.ratio[:, None]
@@ -141,7 +155,10 @@ class Balance(nn.Module):
         basis = self._basis(state, hinges, centre)
         if self.errors is None:
             place, speed = self._from_feet(state, centre, velocity)
-            return torch.cat([basis.flatten(1), place, speed], dim=1)
+            terms = [basis.flatten(1), place, speed]
+            if self.placement is not None:
+                terms.append(self.placement.terms(state, hinges, self.strength, self.weight_n))
+            return torch.cat(terms, dim=1)
         errors = obs.index_select(1, self.errors).unflatten(1, (NUM_LINKS, 4, 3))
         place, speed = self._from_reference(state, errors, offset, arm)
         # The torque acts until the next frame, so the reference is taken midway.
@@ -159,7 +176,8 @@ class Balance(nn.Module):
 
         Args:
             terms: of ``terms``.
-            push: ``(n, 3)`` additional acceleration in m/s^2, in S.
+            push: outputs of the network in m/s^2, in S: ``(n, 3)`` an additional acceleration, then
+                those for ``Placement``.
         """
         basis = terms[:, : LEG_DOFS * PUSHES].unflatten(1, (LEG_DOFS, PUSHES))
         place, speed = terms[:, LEG_DOFS * PUSHES : SIZE].split(PUSHES, dim=1)
@@ -168,15 +186,18 @@ class Balance(nn.Module):
         excess = (wanted[:, :2] / limit).square().sum(1, keepdim=True)
         wanted = wanted * torch.rsqrt(1.0 + excess)
         if push is not None:
-            wanted = wanted + push
+            wanted = wanted + push[:, :PUSHES]
         legs = (basis * wanted[:, None]).sum(-1)
         if self.stepping is not None:
             legs = legs + self.stepping(terms[:, SIZE:])
+        if self.placement is not None and push is not None:
+            legs = legs + self.placement(terms[:, SIZE:], push[:, PUSHES:])
         return nn.functional.pad(legs, (0, NUM_DOFS - LEG_DOFS))
 
     def softness(self, terms: Tensor) -> Tensor | None:
-        """Factors ``(n, 33)`` of the springs; None without the laws of stepping."""
-        return None if self.stepping is None else self.stepping.softness(terms[:, SIZE:])
+        """Factors ``(n, 33)`` of the springs; None if they are always 1."""
+        law = self.stepping if self.placement is None else self.placement
+        return None if law is None else law.softness(terms[:, SIZE:])
 
     def gains(self) -> tuple[Tensor, Tensor, Tensor]:
         """Kp in 1/s^2 and kd in 1/s, ``(3,)`` each: forwards, left and up; limit in m/s^2."""

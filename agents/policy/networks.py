@@ -13,7 +13,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.type_aliases import Schedule
 from torch import Tensor, nn
 
-from agents.policy.balance import PUSHES, Balance
+from agents.policy.balance import OUTPUTS, Balance
 from agents.policy.spec import JOINT_BLOCK, REFERENCE_BLOCK, TORQUE_BLOCK, Layout, PolicySpec
 from agents.precision import native_bfloat16
 
@@ -177,7 +177,7 @@ class TorqueHead(nn.Module):
 
         Args:
             error, torque, balance: see ``terms``.
-            push: ``(n, 3)`` acceleration that the network adds to the balance's, m/s^2.
+            push: accelerations from the network in m/s^2, see ``Balance.forward``.
         """
         action = self.log_gain.exp() * error
         softness = None if self.balance is None else self.balance.softness(balance)
@@ -191,7 +191,7 @@ class TorqueHead(nn.Module):
 def with_head(outputs: Tensor, head: TorqueHead | None, terms: tuple[Tensor, ...]) -> Tensor:
     """Mean action ``(n, 33)`` from the actor's outputs and the head's ``terms``.
 
-    If there are 36 outputs, the last three are an acceleration for ``Balance``, in units of
+    Outputs beyond the 33 of the hinges are accelerations for ``Balance``, in units of
     ``PUSH_SCALE``.
     """
     if head is None:
@@ -254,7 +254,7 @@ class TorquePolicy(ActorCriticPolicy):
         actions = self.action_space.shape[0]
         # With a small last layer, the initial policy is the head alone (or zero torque).
         actor_columns = self.layout.columns(spec.actor_blocks)
-        outputs = actions + (PUSHES if spec.balance == "feet" else 0)
+        outputs = actions + OUTPUTS.get(spec.balance, 0)
         self.actor = Network(actor_columns, spec, outputs, output_gain=0.01)
         self.critic = (
             Network(self.layout.columns(spec.critic_blocks), spec, 1, output_gain=0.01)

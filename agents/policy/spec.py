@@ -21,7 +21,7 @@ JOINT_BLOCK, REFERENCE_BLOCK = "joint_angles", "midway_joint_angles"
 TORQUE_BLOCK = "reference_torques"
 """The block that a torque head around the reference adds unchanged."""
 
-BALANCE: tuple[str, ...] = ("none", "reference", "steps", "feet")
+BALANCE: tuple[str, ...] = ("none", "reference", "steps", "feet", "placement")
 
 # Exploration noise by joint: large for strong joints, where errors do not end the episode, small
 # for light limbs, which would only tremble (found by trial: 0.12 for legs and trunk, 0.04 for arms
@@ -48,8 +48,9 @@ class PolicySpec:
             inverse-dynamics torques of the motion (otherwise it is around the zero pose).
         balance: feedback on the centre of mass through the standing legs as a term of the head,
             see ``balance.py``: towards the ``reference``; ``steps``, the same with foot placement
-            (``stepping.py``); towards the midpoint of the ``feet`` (plus an acceleration from the
-            network); or ``none``.
+            (``stepping.py``); towards the midpoint of the ``feet``, plus an acceleration from the
+            network; ``placement``, the same with forces on the swing feet and a moment on the
+            pelvis from the network; or ``none``.
     """
 
     actor_blocks: tuple[str, ...] = SPARSE_BLOCKS

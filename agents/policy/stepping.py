@@ -9,6 +9,9 @@ With them a policy that has learnt nothing follows slow steps in all directions.
 - Pelvis. The hips of the standing legs turn the pelvis towards its reference orientation.
 - A foot in swing is softer: its springs would stop the body when it lands early.
 
+A student does not observe the reference. Its network gives the accelerations of the swing feet and
+of the pelvis itself (``Placement``); the hinges' torques follow from them in the same way.
+
 A foot is in swing while it carries less than ``SWING`` of the weight. Forces are per kilogram of
 the body, so that they hold for all statures. The start values were found by a search over the 20
 numbers of the head on training clips (docs/training.md).
@@ -39,6 +42,10 @@ POSITION = 0.6
 LARGEST_ERROR_M = 0.25
 """The capture point's error counts at most this much."""
 
+PLACEMENTS = 7
+"""What a network gives to ``Placement``: horizontal accelerations of the left and the right foot in
+S, and a rotation of the pelvis about the axes of S."""
+
 SIZE = 4 * LEG_DOFS + 2
 """Terms of one observation: actions of the 12 hinges for four laws of unit strength, and the share
 of swing of both feet."""
@@ -52,6 +59,8 @@ _HINGES = ("hip_y", "hip_x", "hip_z", "knee_y", "ankle_y", "ankle_x")
 SOFTER: dict[str, float] = dict(zip(_HINGES, (1.1, 1.1, 1.1, 1.6, 1.4, 1.4), strict=True))
 """A spring of a leg in swing is weaker by the factor exp(-value)."""
 STIFFER: dict[str, float] = dict(zip(_HINGES, (0.85, 2.0, 1.1, 1.1, 1.6, 1.3), strict=True))
+SLIGHTLY = 0.05
+"""``softer`` at the start of a student: its springs are around the zero pose."""
 TRUNK, ARMS = 1.35, 0.5
 """Factors of ``start_gains``; ``ARMS`` is also of the neck."""
 HIPS = torch.tensor([1.0, 1.0, 1.0, 0.0, 0.0, 0.0] * 2)
@@ -118,7 +127,6 @@ class Stepping(nn.Module):
             weight_n: of the 1.75 m body, whose contact forces the observation has.
         """
         feet = list(FOOT_LINKS)
-        swing = (1.0 - state.load / (SWING * weight_n)).clamp(0.0, 1.0)
         flat = torch.tensor([1.0, 1.0, 0.0])
         length = capture.mul(flat).square().sum(1, keepdim=True).sqrt().clamp_min(1e-9)
         aside = capture * flat * (length.clamp_max(LARGEST_ERROR_M) / length)
@@ -130,14 +138,10 @@ class Stepping(nn.Module):
             ],
             dim=1,
         )  # (n, law, foot, 3)
-        axes, anchors = hinges
-        foot = state.position[:, feet].repeat_interleave(LEG_DOFS // 2, dim=1)
-        lever = torch.linalg.cross(axes, foot - anchors) * strength[:, None]
+        swing = _swing(state, weight_n)
         on_foot = (forces * swing[:, None, :, None]).repeat_interleave(LEG_DOFS // 2, dim=2)
-        placed = (lever[:, None] * on_foot).sum(-1)
-        load = state.load / (state.load.sum(1, keepdim=True) + SWING * weight_n)
-        share = load.repeat_interleave(LEG_DOFS // 2, dim=1) * HIPS
-        turned = -(axes * errors[:, 0, 1][:, None]).sum(-1) * share * strength
+        placed = (_lever(state, hinges, strength)[:, None] * on_foot).sum(-1)
+        turned = (_turn(state, hinges, strength, weight_n) * errors[:, 0, 1][:, None]).sum(-1)
         return torch.cat([placed.flatten(1), turned, swing], dim=1)
 
     def forward(self, terms: Tensor) -> Tensor:
@@ -149,6 +153,69 @@ class Stepping(nn.Module):
 
     def softness(self, terms: Tensor) -> Tensor:
         """Factors ``(n, 33)`` of the springs: below 1 for a leg in swing."""
-        swing = terms[:, -2:].repeat_interleave(LEG_DOFS // 2, dim=1)
-        legs = torch.exp(-self.softer.clamp_min(0.0) * swing)
-        return nn.functional.pad(legs, (0, NUM_DOFS - LEG_DOFS), value=1.0)
+        return _softness(self.softer, terms[:, -2:])
+
+
+class Placement(nn.Module):
+    """Torques of the legs for the accelerations that a network asks of swing feet and pelvis."""
+
+    SIZE = LEG_DOFS * 5 + 2
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.softer = nn.Parameter(torch.full((LEG_DOFS,), SLIGHTLY))
+
+    def terms(
+        self, state: State, hinges: tuple[Tensor, Tensor], strength: Tensor, weight_n: float
+    ) -> Tensor:
+        """Terms ``(n, SIZE)``; see ``Stepping.terms`` for the arguments.
+
+        They are the actions of the 12 hinges for a unit acceleration forwards and left of the foot
+        of the hinge's leg, ``(12, 2)``, and for a unit rotation of the pelvis, ``(12, 3)``; then
+        the share of swing of both feet.
+        """
+        swing = _swing(state, weight_n)
+        of_leg = swing.repeat_interleave(LEG_DOFS // 2, dim=1)[:, :, None]
+        placed = _lever(state, hinges, strength)[:, :, :2] * of_leg
+        turned = _turn(state, hinges, strength, weight_n)
+        return torch.cat([placed.flatten(1), turned.flatten(1), swing], dim=1)
+
+    def forward(self, terms: Tensor, asked: Tensor) -> Tensor:
+        """Actions ``(n, 12)`` of the hinges of the legs.
+
+        Args:
+            terms: of ``terms``.
+            asked: ``(n, 7)``, see ``PLACEMENTS``.
+        """
+        placed, turned, _ = terms.split((2 * LEG_DOFS, 3 * LEG_DOFS, 2), dim=1)
+        feet = asked[:, :4].unflatten(1, (2, 2)).repeat_interleave(LEG_DOFS // 2, dim=1)
+        legs = (placed.unflatten(1, (LEG_DOFS, 2)) * feet).sum(-1)
+        return legs + (turned.unflatten(1, (LEG_DOFS, 3)) * asked[:, None, 4:]).sum(-1)
+
+    def softness(self, terms: Tensor) -> Tensor:
+        """Factors ``(n, 33)`` of the springs: below 1 for a leg in swing."""
+        return _softness(self.softer, terms[:, -2:])
+
+
+def _swing(state: State, weight_n: float) -> Tensor:
+    """Share of swing ``(n, 2)`` of both feet: 1 without load, 0 from ``SWING`` of the weight."""
+    return (1.0 - state.load / (SWING * weight_n)).clamp(0.0, 1.0)
+
+
+def _lever(state: State, hinges: tuple[Tensor, Tensor], strength: Tensor) -> Tensor:
+    """``(n, 12, 3)`` action of each hinge for a unit acceleration of the body on its foot."""
+    axes, anchors = hinges
+    foot = state.position[:, list(FOOT_LINKS)].repeat_interleave(LEG_DOFS // 2, dim=1)
+    return torch.linalg.cross(axes, foot - anchors) * strength[:, None]
+
+
+def _turn(state: State, hinges: tuple[Tensor, Tensor], strength: Tensor, weight_n: float) -> Tensor:
+    """``(n, 12, 3)`` action of the hips of the standing legs that turns the pelvis."""
+    load = state.load / (state.load.sum(1, keepdim=True) + SWING * weight_n)
+    share = load.repeat_interleave(LEG_DOFS // 2, dim=1) * HIPS
+    return -hinges[0] * (share * strength)[:, :, None]
+
+
+def _softness(softer: Tensor, swing: Tensor) -> Tensor:
+    legs = torch.exp(-softer.clamp_min(0.0) * swing.repeat_interleave(LEG_DOFS // 2, dim=1))
+    return nn.functional.pad(legs, (0, NUM_DOFS - LEG_DOFS), value=1.0)

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from agents.policy.balance import PUSHES
+from agents.policy.balance import OUTPUTS
 from agents.policy.checkpoint import find_policy, find_teacher, load_critic, load_policy
 from agents.policy.networks import TorquePolicy
 from agents.policy.policy_agent import PolicyAgent, check_body, new_policy
@@ -191,7 +191,10 @@ def copy_actor(source: TorquePolicy, target: TorquePolicy, where: Path) -> None:
     """
     state = {k: v for k, v in source.state_dict().items() if not k.startswith("critic.")}
     fresh = ["critic."]
-    if source.spec.balance != target.spec.balance:  # its gains keep their start values
+    if (source.spec.balance, target.spec.balance) == ("feet", "placement"):
+        fresh.append("head.balance.placement.")
+        _widen(state, target)
+    elif source.spec.balance != target.spec.balance:  # its gains keep their start values
         fresh.append("head.balance.")
         state = {k: v for k, v in state.items() if not k.startswith("head.balance.")}
         _widen(state, target)
@@ -205,11 +208,10 @@ def copy_actor(source: TorquePolicy, target: TorquePolicy, where: Path) -> None:
 
 
 def _widen(state: dict[str, Tensor], target: TorquePolicy) -> None:
-    """Extend an actor of 33 outputs by the 3 balance outputs of the target, with zeros."""
-    if target.spec.balance != "feet":
-        return
+    """Extend an actor by the outputs for the target's balance that it lacks, with zeros."""
+    outputs = NUM_DOFS + OUTPUTS.get(target.spec.balance, 0)
     last = f"actor.layers.{len(target.actor.layers) - 1}."
     for name in (last + "weight", last + "bias"):
-        if name in state and len(state[name]) == NUM_DOFS:
-            rows = state[name].new_zeros(PUSHES, *state[name].shape[1:])
+        if name in state and len(state[name]) < outputs:
+            rows = state[name].new_zeros(outputs - len(state[name]), *state[name].shape[1:])
             state[name] = torch.cat([state[name], rows])
