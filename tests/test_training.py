@@ -288,7 +288,9 @@ def test_student_of_another_sensor_set_has_the_same_teacher(clips, tmp_path):
     agent = load_agent(tmp_path / "s")
     assert isinstance(agent, PolicyAgent)
     assert agent.policy.layout.sizes()["o_user"] == 9
-    with pytest.raises(InputError, match="is not a teacher"):
+    with pytest.raises(
+        InputError, match=r"observes H with 0 future frames, the student H.2C with 6"
+    ):
         train(tiny(tmp_path / "u", stage="student", teacher=tmp_path / "s"))
 
 

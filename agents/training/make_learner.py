@@ -20,7 +20,7 @@ from agents.training.dagger import Dagger, DaggerConfig
 from agents.training.learner import Learner
 from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PPOConfig, StageConfig
-from agents.training.specialists import Teachers, load_specialist, read_specialist
+from agents.training.specialists import OPTION, Teachers, load_teacher, read_specialist
 from envs import QuestVecEnv
 from questsim.bodies import OwnBody
 from questsim.errors import InputError
@@ -113,13 +113,7 @@ def _student(
     seed: int,
     say: Callable[[str], None],
 ) -> Dagger:
-    where = args.teacher or args.out / "teacher"
-    teacher = load_policy(find_teacher(where))
-    if not teacher.needs.privileged:
-        raise InputError(
-            "is not a teacher: it does not observe the reference", where, "use --teacher"
-        )
-    teacher.bind(env)
+    teacher = load_teacher(args.teacher or args.out / "teacher", env, "--teacher")
     sparse = Layout.of(env.layout).within(config.policy.actor_blocks)
     hinges = len(env.avatar.dofs)
     student = new_policy(config.policy, sparse, learning.learning_rate, hinges)
@@ -147,7 +141,7 @@ def _specialists(
         return None
     assert isinstance(env, QuestVecEnv)  # with --workers they are refused before
     read = [read_specialist(text) for text in args.specialists]
-    agents = [(load_specialist(s, general, env), s.kinds) for s in read]
+    agents = [(load_teacher(s.where, env, OPTION), s.kinds) for s in read]
     teachers = Teachers(general, agents, env, args.threads)
     names = ["the general teacher", *(str(specialist.where) for specialist in read)]
     counts = zip(teachers.clips_of_each(), names, strict=True)

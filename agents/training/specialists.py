@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -17,6 +18,9 @@ from agents.policy.policy_agent import PolicyAgent
 from agents.resolve import from_anywhere
 from envs import QuestVecEnv
 from questsim.errors import InputError
+
+if TYPE_CHECKING:
+    from agents.training.cluster import ActorPool
 
 OPTION = "--specialists"
 BATCH = 256
@@ -53,18 +57,25 @@ def read_specialist(text: str) -> Specialist:
     return Specialist(from_anywhere(Path(where)) or Path(where), patterns)
 
 
-def load_specialist(specialist: Specialist, general: PolicyAgent, env: QuestVecEnv) -> PolicyAgent:
-    """A specialist, which observes what the general teacher does.
+def load_teacher(where: Path, env: QuestVecEnv | ActorPool, option: str) -> PolicyAgent:
+    """A teacher that acts in ``env``: it observes the reference, or the student's own devices.
+
+    Args:
+        where: a run, stage or policy folder.
+        env: the training environment.
+        option: the command's option, for messages.
 
     Raises:
-        InputError: there is no such teacher, it does not fit ``env``, or reads other observations.
+        InputError: there is no such policy, or it does not fit ``env``.
     """
-    agent = load_policy(find_teacher(specialist.where))
-    if not agent.needs.privileged:
-        raise InputError("does not observe the reference", specialist.where, f"see {OPTION}")
+    agent = load_policy(find_teacher(where))
+    needs, config = agent.needs, env.config
+    found = (config.sensors, config.future_frames)
+    if not needs.privileged and (needs.sensors, needs.future_frames) != found:
+        what = f"observes {needs.sensors} with {needs.future_frames} future frames, the student "
+        fix = "give a teacher of the same devices, or one that observes the reference"
+        raise InputError(f"{what}{found[0]} with {found[1]}", f"{option} {where}", fix)
     agent.bind(env)
-    if agent.policy.layout != general.policy.layout:
-        raise InputError("observes other values than --teacher", specialist.where)
     return agent
 
 
@@ -120,8 +131,11 @@ class Teachers:
         if len(able) == 1:
             return best
         clips = self._env.clips
-        # Undisturbed, since the agents would be disturbed differently.
-        config = replace(from_first_frames(self._env.sim.config), starts=None, pushes=None)
+        # On level ground and undisturbed, since every agent would meet other disturbances.
+        config = replace(
+            from_first_frames(self._env.sim.config),
+            starts=None, pushes=None, randomisation=None, terrain=None, objects=(),
+        )  # fmt: skip
         # Clips of about the same length, so that few avatars wait for the longest one.
         order = np.argsort([len(clip) for clip in clips], kind="stable")
         for rows in np.split(order, range(BATCH, len(order), BATCH)):
