@@ -13,11 +13,12 @@ from agents.comparison import run as run_module
 from agents.comparison.behind import body_of
 from agents.comparison.compare import FIGURES, FILES, CompareArgs, compare, everyone, plan
 from agents.comparison.conditions import NOISES, noisy
+from agents.comparison.drawn import _over_time, predictor_over_time, predictor_pairs
 from agents.comparison.plots import KINDS, kind_of
 from agents.comparison.record import Record
 from agents.comparison.report import Costs, Row, row_of, table
 from agents.comparison.scenarios import faulty, scenarios
-from agents.comparison.summary import summarise
+from agents.comparison.summary import CURVE_BINS, Summary, summarise
 from agents.evaluation import EvaluateArgs, evaluate
 from agents.kinematic import load_system
 from agents.kinematic.causal import causal_clip
@@ -240,6 +241,21 @@ def test_dragposer_is_compared_in_every_scenario_of_its_table(tmp_path):
     names = [s.name for s in scenarios(load_system(saved("dragposer", tmp_path / "drag")))]
     assert names[:5] == ["3 head+hands", "3 hip+hands", "4", "5 no left foot", "6"]
     assert names[-2:] == ["faulty 0.5 %", "faulty 1 %"]
+
+
+def test_rows_with_and_without_predictor_are_drawn_over_time(tmp_path):
+    def scored(scenario, error_cm):
+        curve = [[error_cm * 6, 6.0]] * 10 + [[0.0, 0.0]] * (CURVE_BINS - 10)
+        return Row("dragposer", scenario, 1, {}, {}, None), [Summary({}, curve=curve)]
+
+    rows = [scored("4", 2.0), scored("4, no predictor", 5.0), scored("6", 1.0)]
+    assert predictor_pairs(rows) == [(rows[1], rows[0])]
+    assert not predictor_pairs(rows[:1])
+    times, errors = _over_time(rows[1][1])
+    assert np.allclose(times, 0.1 * np.arange(10) + 0.05)
+    assert np.allclose(errors, 5.0)
+    predictor_over_time(predictor_pairs(rows), tmp_path / "predictor.png")
+    assert (tmp_path / "predictor.png").stat().st_size > 1000
 
 
 def test_the_window_protocol_forgets_what_is_older_than_the_window(tmp_path):

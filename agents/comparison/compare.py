@@ -15,7 +15,14 @@ from typing import Any
 
 from agents.comparison.conditions import NOISES
 from agents.comparison.costs import plan_costs
-from agents.comparison.drawn import DRAWN, Scored, compared
+from agents.comparison.drawn import (
+    DRAWN,
+    PREDICTOR,
+    Scored,
+    compared,
+    predictor_over_time,
+    predictor_pairs,
+)
 from agents.comparison.options import CompareArgs
 from agents.comparison.plots import plot_accuracy, plot_plausibility
 from agents.comparison.record import FILE as RECORD_FILE
@@ -51,7 +58,7 @@ FIGURES = {"accuracy.png": plot_accuracy, "plausibility.png": plot_plausibility}
 FILES: tuple[str, ...] = (
     "comparison.json", "comparison.csv", "comparison.md", RECORD_FILE, *FIGURES, *DRAWN,
 )  # fmt: skip
-"""Files that a comparison writes; with a film, also ``film.FILES``."""
+"""Files that a comparison writes, besides ``PREDICTOR`` and ``film.FILES``."""
 
 
 def compare(args: CompareArgs) -> int:
@@ -105,6 +112,9 @@ def compare(args: CompareArgs) -> int:
     for name, draw in DRAWN.items():
         with whole_file(out / name) as path:
             draw(scored, path)
+    if pairs := predictor_pairs(scored):
+        with whole_file(out / PREDICTOR) as path:
+            predictor_over_time(pairs, path)
     for names in (*TABLES.values(), COSTS):
         print(table(rows, names, ends=True), end="\n\n")
     print(f"written to {out}")

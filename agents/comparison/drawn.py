@@ -35,6 +35,9 @@ _STANDING: dict[str, tuple[float, float]] = {
     "elbow": (0.33, 1.15), "wrist": (0.44, 0.90),
 }  # fmt: skip
 """Where joints are drawn: the left side in metres, seen from the front."""
+_WITHOUT = ", no predictor"
+"""End of the names of scenarios without temporal predictor."""
+_SINCE = "Time since the start of the clip (s)"
 SMOOTH_BINS = 3
 """Bins of time over which the error over time is averaged."""
 
@@ -89,27 +92,54 @@ class _Line(NamedTuple):
         return {"color": self.colour, "ls": ":" if policy else "-", "label": _label(self.row)}
 
 
-def error_over_time(scored: Sequence[Scored], path: Path) -> None:
-    """Mean joint error by time since the start of the clip, over windows of ``SMOOTH_BINS``.
+def _over_time(clips: Sequence[Summary]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Times in s and mean joint errors in cm, over windows of ``SMOOTH_BINS``.
 
     Windows with less than a third of the clips are left out: there one clip decides.
     """
+    curves = [np.array(clip.curve)[: CURVE_BINS - 1] for clip in clips if clip.curve]
+    if not curves:
+        return None
     window = np.ones(SMOOTH_BINS)
-    below = "Time since the start of the clip (s)"
+    there = np.sum([curve[:, 1] > 0 for curve in curves], axis=0)
+    sums, counts = (np.convolve(a, window, "same") for a in np.sum(curves, axis=0).T)
+    enough = 3 * there >= len(curves)
+    return (np.flatnonzero(enough) + 0.5) * CURVE_BIN_S, sums[enough] / counts[enough]
+
+
+def error_over_time(scored: Sequence[Scored], path: Path) -> None:
+    """Mean joint error by time since the start of the clip."""
     with figure_file(path, 8.0, 6.5) as figure:
-        for axis, lines in _panels(figure, compared(scored), below):
+        for axis, lines in _panels(figure, compared(scored), _SINCE):
             for line in lines:
-                curves = [
-                    np.array(clip.curve)[: CURVE_BINS - 1] for clip in line.clips if clip.curve
-                ]
-                if not curves:
-                    continue
-                there = np.sum([curve[:, 1] > 0 for curve in curves], axis=0)
-                sums, counts = (np.convolve(a, window, "same") for a in np.sum(curves, axis=0).T)
-                enough = 3 * there >= len(curves)
-                times = (np.flatnonzero(enough) + 0.5) * CURVE_BIN_S
-                axis.plot(times, sums[enough] / counts[enough], **line.style)
+                if (curve := _over_time(line.clips)) is not None:
+                    axis.plot(*curve, **line.style)
             axis.set_ylabel("MPJPE (cm)")
+
+
+def predictor_pairs(scored: Sequence[Scored]) -> list[tuple[Scored, Scored]]:
+    """Rows without temporal predictor, each with the row of the same scenario with it."""
+    rows = {(row.agent, row.scenario): (row, clips) for row, clips in scored}
+    names = [(agent, scenario, scenario + _WITHOUT) for agent, scenario in rows]
+    return [
+        (rows[agent, without], rows[agent, scenario])
+        for agent, scenario, without in names
+        if (agent, without) in rows
+    ]
+
+
+def predictor_over_time(pairs: Sequence[tuple[Scored, Scored]], path: Path) -> None:
+    """Mean joint error by time with and without temporal predictor (DragPoser, figure 6)."""
+    with figure_file(path, 8.0, 3.5) as figure:
+        axis = figure.subplots()
+        for number, pair in enumerate(pairs):
+            for (row, clips), style in zip(pair, ("--", "-"), strict=True):
+                if (curve := _over_time(clips)) is not None:
+                    axis.plot(*curve, color=f"C{number}", ls=style, label=_label(row))
+        axis.set_xlabel(_SINCE)
+        axis.set_ylabel("MPJPE (cm)")
+        axis.set_ylim(bottom=0.0)
+        axis.legend(fontsize=8)
 
 
 def error_distribution(scored: Sequence[Scored], path: Path) -> None:
@@ -216,6 +246,7 @@ def _place(joint: str) -> tuple[float, float]:
     return (x if side == "left" else -x), y
 
 
+PREDICTOR = "predictor.png"
 DRAWN: dict[str, Callable[[Sequence[Scored], Path], None]] = {
     "over_time.png": error_over_time,
     "distribution.png": error_distribution,
