@@ -269,7 +269,7 @@ RIGS: dict[str, Rig] = {
     ),
     "zero pose of another up axis": Rig(MIXAMO, rest_up="z", pose="A"),
     "zero pose that faces sideways": Rig(MIXAMO, rest_yaw=90.0, up="z"),
-    "own axes": Rig(MIXAMO, pose="own"),
+    "zero pose that leans and is turned": Rig(MIXAMO, rest_yaw=13.0, rest_pitch=16.0),
     "own axes, z up": Rig(MIXAMO, pose="own", up="z", units="m"),
     "z up with known names": Rig(MIXAMO | {"left_toe": "{}Toe"}, up="z", units="m"),
     "100STYLE": Rig(

@@ -46,7 +46,8 @@ class Rig:
             has axes of its own).
         rest_frame: whether the first frame is a T-pose.
         up, units: of the file.
-        rest_up, rest_yaw: up axis, if it is another, and heading in degrees of the zero pose.
+        rest_up, rest_yaw, rest_pitch: of the zero pose: up axis, if it is another, heading and
+            forward lean in degrees.
         order: of the rotation channels.
         all_positions: whether every joint has position channels.
         tips: whether End Sites say where bones end.
@@ -62,6 +63,7 @@ class Rig:
     up: str = "y"
     rest_up: str = ""
     rest_yaw: float = 0.0
+    rest_pitch: float = 0.0
     units: str = "cm"
     order: str = "ZXY"
     all_positions: bool = False
@@ -195,7 +197,7 @@ def write_rig(path: Path, rig: Rig) -> Motion:
     position, quat = motion.forward_kinematics()
     world = Rotation.from_matrix(world_axes(rig.up).T)
     zero = Rotation.from_matrix(world_axes(rig.rest_up or rig.up).T)
-    zero = zero * Rotation.from_euler("z", rig.rest_yaw, degrees=True)
+    zero = zero * Rotation.from_euler("ZY", [rig.rest_yaw, rig.rest_pitch], degrees=True)
     rest = _rest(rig)
     rows = _rows(rig)
     rng = np.random.default_rng(5)

@@ -151,14 +151,47 @@ def test_a_skeleton_without_arms_is_refused_with_the_reason(tmp_path):
         read_motion(path)
 
 
-def test_twice_as_long_forearms_are_refused(tmp_path):
+def test_twice_as_long_forearms_are_refused_wherever_the_feet_and_in_all_units(tmp_path):
     joints = [
         (n + "X", p, tuple(3 * v for v in o) if n.endswith("_Wrist") else o)
         for n, p, o in SMPL_JOINTS
     ]
-    path = write_bvh(tmp_path / "a.bvh", joints, standing(3, 0.95))
-    with pytest.raises(InputError, match="forearm and upper arm are as"):
+    tall = [(n, p, tuple(3 * v for v in o)) for n, p, o in joints]
+    for rig, height in ((joints, 0.95), (joints, 3.0), (tall, 2.85)):
+        path = write_bvh(tmp_path / "a.bvh", rig, standing(3, height))
+        with pytest.raises(InputError, match="forearm and upper arm are as"):
+            read_motion(path)
+
+
+def test_a_quadruped_is_refused_because_it_is_no_person(tmp_path):
+    joints = chain(
+        ("Hips", "", (0, 0, 0)),
+        ("{} Thigh", "Hips", (11, 0, 0)), ("{} Calf", "{} Thigh", (0, -35, 5)),
+        ("{} Foot", "{} Calf", (0, -35, -5)), ("{} Toe", "{} Foot", (0, -5, 8)),
+        ("Spine", "Hips", (0, 0, 40)), ("Chest", "Spine", (0, 0, 45)),
+        ("Neck", "Chest", (0, 15, 10)), ("Head", "Neck", (0, 20, 15)),
+        ("{} UpperArm", "Chest", (7, 0, 0)), ("{} Forearm", "{} UpperArm", (0, -30, -5)),
+        ("{} Hand", "{} Forearm", (0, -30, 5)),
+    )  # fmt: skip
+    path = write_bvh(tmp_path / "a.bvh", joints, standing(20, 75))
+    with pytest.raises(InputError, match=r"trunk and leg are as 1.2. to 1.*not a person"):
         read_motion(path)
+
+
+def test_who_lies_all_the_time_is_not_put_upright_if_a_rest_pose_shows_the_up_axis(tmp_path):
+    joints = [(n + "X", p, o) for n, p, o in SMPL_JOINTS]
+    lies = {"PelvisX": np.array([[0, 0, 0]] + [[0, 0, -88]] * 19)}
+    path = write_bvh(tmp_path / "a.bvh", joints, standing(20, 0.95), lies)
+    with pytest.raises(InputError, match=r"never stands upright: up is not y .* only lies"):
+        read_motion(path)
+
+
+def test_a_child_is_scaled_to_the_smallest_avatar_and_the_report_says_so(tmp_path):
+    joints = [(n + "X", p, tuple(27 * v for v in o)) for n, p, o in SMPL_JOINTS]
+    path = write_bvh(tmp_path / "a.bvh", joints, standing(3, 25.65))
+    motion, report = read_motion(path)
+    assert "units inch (detected; 1.1" in str(report) and "scaled to 1.2 m" in str(report)
+    assert to_clip(motion).height_m == 1.2
 
 
 def test_explain_prints_which_joint_was_taken_for_what(tmp_path, capsys):
@@ -277,6 +310,20 @@ def test_legs_that_hang_on_the_spine_and_arms_on_the_neck_are_found(tmp_path):
     assert motion.forward_kinematics()[0][0, JOINTS.index("head"), 2] == pytest.approx(
         1.56, abs=0.01
     )
+
+
+def test_a_helper_with_the_name_of_the_joint_below_is_not_taken_for_it(tmp_path):
+    # As in MakeHuman's older exports.
+    joints = chain(
+        ("Hips", "", (0, 0, 0)), ("Spine", "Hips", (0, 30, 0)), ("Head", "Spine", (0, 35, 0)),
+        ("UpLeg_{}", "Hips", (9, -5, 0)), ("LoLeg_{}", "UpLeg_{}", (0, -42, 0)),
+        ("Foot_{}", "LoLeg_{}", (0, -41, 0)),
+        ("__Clavicle_{}", "Spine", (0, 20, 0)), ("Clavicle_{}", "__Clavicle_{}", (2, -3, 0)),
+        ("UpArm_{}", "Clavicle_{}", (14, 0, 0)), ("LoArm_{}", "UpArm_{}", (28, 0, 0)),
+        ("Hand_{}", "LoArm_{}", (25, 0, 0)),
+    )  # fmt: skip
+    path = write_bvh(tmp_path / "a.bvh", joints, standing(3, 92))
+    assert find_roles(read_bvh(path)).joints["left_clavicle"] == "Clavicle_L"
 
 
 def test_vertebrae_called_l5_and_l3_are_not_of_the_left_side():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from questsim.motion.motion import Motion
-from questsim.skeleton import JOINTS
+from questsim.skeleton import JOINT_PARENTS, JOINTS
 
 RATIOS: tuple[tuple[str, tuple[str, ...], tuple[str, ...], float, float], ...] = (
     ("shin and thigh", ("ankle",), ("knee",), 0.6, 1.6),
@@ -18,6 +18,9 @@ RATIOS: tuple[tuple[str, tuple[str, ...], tuple[str, ...], float, float], ...] =
 Of people they are 0.8-1.1, 0.7-0.9, 0.6-0.75 and 0.4-0.5 (Drillis and Contini 1966); skeletons of
 mocap software differ more, because their joints are placed differently.
 """
+TRUNK_RATIO = (0.3, 0.9)
+"""Hips to shoulders, as a share of thigh and shin. In skeletons of people measured 0.46-0.68, of
+quadrupeds 1.1-1.2."""
 MAX_ASYMMETRY = 0.3
 """Largest difference between left and right limbs as a share of their mean."""
 MIN_ELBOW = 0.4
@@ -28,6 +31,11 @@ MIN_BEND = 0.2
 
 def anatomy_problems(motion: Motion) -> list[str]:
     """One clause for each anatomical implausibility; empty if there is none."""
+    return proportion_problems(motion) + _bends(motion)
+
+
+def proportion_problems(motion: Motion) -> list[str]:
+    """One clause for each bone whose length, compared with others, is not human."""
     length = {
         name: float(np.linalg.norm(motion.offsets[joint])) for joint, name in enumerate(JOINTS)
     }
@@ -36,15 +44,34 @@ def anatomy_problems(motion: Motion) -> list[str]:
         ratio = _total(length, above) / max(_total(length, below), 1e-9)
         if not low <= ratio <= high:
             out.append(f"{name} are as {ratio:.2f} to 1, not {low:g}-{high:g}")
+    ratio = _trunk(motion) / max(_total(length, ("knee", "ankle")) / 2.0, 1e-9)
+    if not TRUNK_RATIO[0] <= ratio <= TRUNK_RATIO[1]:
+        out.append(
+            f"trunk and leg are as {ratio:.2f} to 1, not {TRUNK_RATIO[0]:g}-{TRUNK_RATIO[1]:g}: "
+            "not a person's skeleton"
+        )
     for limb, bones in (("legs", ("knee", "ankle")), ("arms", ("elbow", "wrist"))):
         sides = [sum(length[f"{side}_{bone}"] for bone in bones) for side in ("left", "right")]
         if abs(sides[0] - sides[1]) > MAX_ASYMMETRY * sum(sides) / 2.0:
             out.append(f"the left and right {limb} are {sides[0]:.2f} and {sides[1]:.2f} m long")
-    return out + _bends(motion)
+    return out
 
 
 def _total(length: dict[str, float], bones: tuple[str, ...]) -> float:
     return sum(length[f"{side}_{bone}"] for side in ("left", "right") for bone in bones)
+
+
+def _trunk(motion: Motion) -> float:
+    """Metres from the middle of the hips to the middle of the shoulders in the T-pose."""
+    place = np.zeros((len(JOINTS), 3))
+    for joint, parent in enumerate(JOINT_PARENTS):
+        if joint:
+            place[joint] = place[parent] + motion.offsets[joint]
+
+    def middle(part: str) -> np.ndarray:
+        return (place[JOINTS.index(f"left_{part}")] + place[JOINTS.index(f"right_{part}")]) / 2.0
+
+    return float(np.linalg.norm(middle("shoulder") - middle("hip")))
 
 
 def _bends(motion: Motion) -> list[str]:

@@ -220,10 +220,9 @@ class _HierarchyReader:
         header, name = self.header, " ".join(words[1:])
         if not name:
             raise self.refuse(f"{words[0]} needs a name")
-        if name in header.names:
-            raise self.refuse(f"joint {name[:40]!r} appears twice", "give joints other names")
         if (words[0] == "ROOT") == bool(header.names):
             raise self.refuse("a BVH file has exactly one ROOT", "keep one person in each file")
+        name = _fresh(name, header.names)
         parent = self.open[-1] if self.open else -1
         if words[0] == "JOINT" and (not self.open or parent == _SITE):
             raise self.refuse(f"joint {name[:40]!r} is not inside another joint")
@@ -280,6 +279,15 @@ class _HierarchyReader:
                 f"{' '.join(names)[:80]!r} are not channels", "write Xposition, Zrotation, ..."
             )
         self.header.channels[self.open[-1]] = channels
+
+
+def _fresh(name: str, taken: list[str]) -> str:
+    """The name, numbered from 2 on if it is taken: joints are told apart by their place."""
+    fresh, count = name, 1
+    while fresh in taken:
+        count += 1
+        fresh = f"{name}-{count}"
+    return fresh
 
 
 def _numbers(words: list[str], count: int, refuse: Callable[[str], InputError]) -> np.ndarray:

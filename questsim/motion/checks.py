@@ -12,6 +12,8 @@ from questsim.motion.motion import Motion, rest_height
 from questsim.skeleton import JOINTS
 
 MIN_STATURE_M, MAX_STATURE_M = 1.2, 2.2
+MIN_CHILD_M = 1.0
+"""Performers between this and ``MIN_STATURE_M`` are scaled to the smallest avatar."""
 LEG_FRACTION = 0.530 - 0.039
 ANKLE_TO_HEAD_FRACTION = 0.870 - 0.039
 """Segment lengths as fractions of stature: hip 0.530, ankle 0.039, base of the head 0.870.
@@ -41,6 +43,8 @@ Source: Winter 2009, table 4.1 (after Dempster 1955); forearm and hand are one s
 """
 
 FLOOR_TOLERANCE_M = 0.5
+FEET_OFF_FLOOR = "the feet are"
+"""How the problem of a motion far from the floor begins."""
 CLEAR_M = 0.04
 MIN_FLIGHT_FRAMES, MAX_FLIGHT_S = 4, 1.5
 STANDING_SPEED = 0.4
@@ -143,16 +147,19 @@ def refuse(report: Report, where: str) -> None:
 
 def _problems(motion: Motion, position: np.ndarray, report: Report) -> list[str]:
     out = []
-    if not MIN_STATURE_M <= report.stature_m <= MAX_STATURE_M:
+    if not MIN_STATURE_M <= round(report.stature_m, 6) <= MAX_STATURE_M:
         out.append(
             f"the skeleton would be {report.stature_m:.3g} m tall in {report.units}, not "
             f"{MIN_STATURE_M}-{MAX_STATURE_M} m: wrong units"
         )
         return out  # every other length is wrong as well
     if upright_share(position, np.array([0.0, 0.0, 1.0])) < MIN_UPRIGHT:
-        out.append(f"the performer never stands upright: up is not {report.up}")
+        out.append(
+            f"the performer never stands upright: up is not {report.up}, or the motion only lies "
+            "or kneels"
+        )
     if abs(report.foot_height_m) > FLOOR_TOLERANCE_M:
-        out.append(f"the feet are {report.foot_height_m:+.2f} m from the floor at 0")
+        out.append(f"{FEET_OFF_FLOOR} {report.foot_height_m:+.2f} m from the floor at 0")
     if toes_ahead(position) < 0:
         out.append("the toes point backwards: left and right are swapped or an axis is mirrored")
     low, high = GRAVITY_RANGE

@@ -10,12 +10,14 @@ import numpy as np
 
 from questsim.errors import InputError
 from questsim.motion.amass import read_amass
-from questsim.motion.anatomy import anatomy_problems
+from questsim.motion.anatomy import anatomy_problems, proportion_problems
 from questsim.motion.asf_amc import read_asf_amc
 from questsim.motion.bvh import read_bvh
 from questsim.motion.checks import (
+    FEET_OFF_FLOOR,
     FLOOR_TOLERANCE_M,
     MAX_STATURE_M,
+    MIN_CHILD_M,
     MIN_STATURE_M,
     MIN_UPRIGHT,
     Report,
@@ -28,6 +30,7 @@ from questsim.motion.convert import axis_vector, global_pose, to_motion
 from questsim.motion.deepmimic import read_deepmimic
 from questsim.motion.families import SMPL, UNITS, UP_AXES, Family, load_mapping
 from questsim.motion.motion import Motion
+from questsim.motion.recognise import MAPPING
 from questsim.motion.recording import MAX_FPS, MIN_FPS, Recording
 from questsim.motion.rest import some_frames
 from questsim.motion.skeletons import find_skeleton, without_rest_frame
@@ -36,6 +39,9 @@ from questsim.skeleton import JOINTS
 
 USUAL_STATURE_M = 1.7
 """Of several plausible units, the one whose skeleton is nearest to this height is chosen."""
+DETECTED = "detected"
+RESTS_UPRIGHT = 0.95
+"""Cosine between up and a rest pose: who lies all the time is no evidence of the up axis."""
 _CLIP_NAME = re.compile(r"dataset-\d+_(?P<kind>[a-z-]+)_(?P<style>[a-z-]+)_\d+")
 
 
@@ -115,7 +121,7 @@ def _on_floor(motion: Motion, report: Report) -> tuple[Motion, Report]:
     return motion, replace(
         report,
         foot_height_m=again.foot_height_m,
-        problems=tuple(p for p in report.problems if not p.startswith("the feet are")),
+        problems=tuple(p for p in report.problems if not p.startswith(FEET_OFF_FLOOR)),
         notes=(*report.notes, note),
     )
 
@@ -160,7 +166,8 @@ def _on_own_skeleton(
     if declared is None and options.mapping:
         declared = load_mapping(options.mapping)
     skeleton = find_skeleton(recording, declared)
-    recording, family = without_rest_frame(skeleton.recording, skeleton.family), skeleton.family
+    whole, family = skeleton.recording, skeleton.family
+    recording = without_rest_frame(whole, family)
     about = {"licence": options.licence}
     if named := _CLIP_NAME.fullmatch(recording.path.stem):
         about |= named.groupdict()
@@ -178,10 +185,13 @@ def _on_own_skeleton(
             return motion, replace(report, **said)
     metres, units = _units(recording, family, options)
     up, up_note = _up_axis(recording, family, options)
+    if up_note == DETECTED and len(recording.positions) < len(whole.positions):
+        up = _rest_frames_up(whole, family) or up
     motion = to_motion(recording, family, metres, up, **about)
     report = replace(check(motion, units, f"{up} ({up_note})"), **said)
-    if family.rest and not report.problems:
-        report = replace(report, problems=tuple(anatomy_problems(motion)))
+    # Feet far from the floor are put onto it, and are no reason to skip the anatomy.
+    if family.rest and all(p.startswith(FEET_OFF_FLOOR) for p in report.problems):
+        report = replace(report, problems=(*report.problems, *anatomy_problems(motion)))
     return motion, report
 
 
@@ -198,10 +208,13 @@ def _units(recording: Recording, family: Family, options: ReadOptions) -> tuple[
     if options.height_m:
         metres = options.height_m / max(height, 1e-9)
         return metres, f"{metres:.3g} m (declared height)"
-    fitting = [u for u, m in UNITS.items() if MIN_STATURE_M <= height * m <= MAX_STATURE_M]
+    fitting = [u for u, m in UNITS.items() if MIN_CHILD_M <= height * m <= MAX_STATURE_M]
     if family.units in fitting or (family.units and not fitting):
         return UNITS[family.units], f"{family.units} (as {family.name} files)"
     if not fitting:
+        sized = to_motion(first, family, 1.0 / max(height, 1e-9), family.up or "y")
+        if family.rest and (shape := proportion_problems(sized)):
+            raise InputError("; ".join(shape), recording.path, MAPPING)
         raise InputError(
             f"the skeleton is {height:.3g} units tall, not a person's height in any of "
             f"{', '.join(UNITS)}",
@@ -209,6 +222,10 @@ def _units(recording: Recording, family: Family, options: ReadOptions) -> tuple[
             "declare the performer's height with --height",
         )
     nearest = min(fitting, key=lambda unit: abs(np.log(height * UNITS[unit] / USUAL_STATURE_M)))
+    tall = height * UNITS[nearest]
+    if tall < MIN_STATURE_M:
+        note = f"detected; {tall:.2f} m tall, scaled to {MIN_STATURE_M} m"
+        return UNITS[nearest] * MIN_STATURE_M / tall, f"{nearest} ({note})"
     return UNITS[nearest], f"{nearest} (detected)"
 
 
@@ -216,14 +233,27 @@ def _up_axis(recording: Recording, family: Family, options: ReadOptions) -> tupl
     """The file's up axis, along which the head is above the feet, and how it was determined."""
     if options.up:
         return options.up, "declared"
-    position, _ = global_pose(some_frames(recording, 200))
-    ours = np.zeros((len(position), len(JOINTS), 3))
-    for joint in ("head", "left_ankle", "right_ankle"):
-        ours[:, JOINTS.index(joint)] = position[:, recording.names.index(family.joints[joint])]
-    shares = {axis: upright_share(ours, axis_vector(axis)) for axis in UP_AXES}
+    shares = _upright_shares(some_frames(recording, 200), family)
     best = max(UP_AXES, key=lambda axis: shares[axis])
     if family.up and shares[family.up] >= min(0.8, shares[best]):
         return family.up, f"as {family.name} files"
     if shares[best] < MIN_UPRIGHT and family.up:
         return family.up, f"as {family.name} files"
-    return best, "detected"
+    return best, DETECTED
+
+
+def _rest_frames_up(recording: Recording, family: Family) -> str | None:
+    """The up axis of a recording that begins with a rest pose, if that stands upright."""
+    first = replace(recording, positions=recording.positions[:1], rotations=recording.rotations[:1])
+    shares = _upright_shares(first, family)
+    best = max(UP_AXES, key=lambda axis: shares[axis])
+    return best if shares[best] > RESTS_UPRIGHT else None
+
+
+def _upright_shares(recording: Recording, family: Family) -> dict[str, float]:
+    """How upright the performer is along each axis (``checks.upright_share``)."""
+    position, _ = global_pose(recording)
+    ours = np.zeros((len(position), len(JOINTS), 3))
+    for joint in ("head", "left_ankle", "right_ankle"):
+        ours[:, JOINTS.index(joint)] = position[:, recording.names.index(family.joints[joint])]
+    return {axis: upright_share(ours, axis_vector(axis)) for axis in UP_AXES}

@@ -11,7 +11,7 @@ positions stay the same.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -24,6 +24,8 @@ from questsim.skeleton import JOINTS
 MAX_CHAIN = 9
 MIN_POINTS = 1.0
 """A chain with a lower score of names and lengths is not a limb."""
+HELPER = 0.01
+"""Decides between joints that fit equally well."""
 END = " End Site"
 MAPPING = "name the joints in a mapping file ('questsim motions mapping' writes a start)"
 
@@ -221,7 +223,18 @@ def _points(tree: _Tree, usable: tuple[int, ...], chosen: dict[str, int], part: 
         score -= 0.0 if 0.1 < foot < 0.9 else 0.7
     if "clavicle" in chosen:
         score -= 0.0 if tree.length(chosen["clavicle"], chosen["shoulder"]) < upper else 0.7
-    return score
+    return score - HELPER * _helpers(tree, usable, chosen)
+
+
+def _helpers(tree: _Tree, usable: tuple[int, ...], chosen: dict[str, int]) -> int:
+    """How many chosen joints only place the next one, which has their name and is not chosen."""
+    follows = dict(pairwise(usable))
+    return sum(
+        follows.get(joint, joint) not in chosen.values()
+        and tree.names[follows[joint]].key == tree.names[joint].key
+        and (role == "clavicle" or tree.length(joint, follows[joint]) < 1e-9)
+        for role, joint in chosen.items()
+    )
 
 
 def _trunk(tree: _Tree, found: dict[str, int], recording: Recording) -> None:

@@ -21,7 +21,7 @@ from questsim.skeleton import JOINT_PARENTS, JOINTS
 
 SIDES = ("left", "right")
 MAX_FRAMES = 300
-SNAP = np.cos(np.radians(20.0))
+SNAP = np.cos(np.radians(8.0))
 SPLAY = np.cos(np.radians(12.0))
 """If the legs are further apart than this in the rest pose, the feet are splayed with the shins."""
 TRUNK_ENDS = ("hip", "shoulder")
@@ -155,7 +155,7 @@ def _axes(up: np.ndarray, left: np.ndarray, snap: bool) -> np.ndarray:
 
 
 def _snapped(vector: np.ndarray) -> np.ndarray:
-    """The nearest of the six axis directions, if it is within 20 degrees."""
+    """The nearest of the six axis directions, if it is within ``SNAP``."""
     axis = np.zeros(3)
     largest = int(abs(vector).argmax())
     axis[largest] = np.sign(vector[largest])
