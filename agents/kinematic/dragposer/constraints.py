@@ -19,7 +19,10 @@ Constraint = Callable[[Tensor, Tensor], Tensor]
 
 
 def look_at(target: tuple[float, float, float], joint: str = "head") -> Constraint:
-    """The joint's x axis (forward) points at a target in the world; squared sine-like loss.
+    """The joint's x axis (forward) points at a target in the world.
+
+    The loss is the squared difference of the directions. A head with a headset keeps the headset's
+    orientation: use devices without it.
 
     Args:
         target: world position in metres.
