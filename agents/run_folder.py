@@ -235,7 +235,8 @@ def check_same_run(
             option = "--" + name.replace("_", "-")
             raise InputError(f"{option} was {before}, not {value}", out / RECORD, "use it again")
     if record["data"]["sha256"] != data["sha256"]:
-        raise InputError("the motions differ from those at its start", out / RECORD)
+        what = "the motions differ from those at the start of this run"
+        raise InputError(what, out / RECORD, "name the same motions, or another --out")
 
 
 def default_of(option: Field[Any]) -> Any:

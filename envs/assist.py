@@ -23,7 +23,7 @@ from questsim.motion.kinematics import standing_clip
 from questsim.sensors import device_poses
 from questsim.skeleton import LINKS
 
-COMES_M, GOES_M = 0.25, 0.12
+ENGAGE_M, RELEASE_M = 0.25, 0.12
 """Distance between the heads above which the assist fades in, and below which it fades out."""
 FORESIGHT_S = 0.3
 """How far ahead the distance is extrapolated."""
@@ -44,6 +44,7 @@ _LOW, _UPRIGHT = 0.75, 0.90
 """Heights of the user's headset, as shares of its standing height: below the first the user bends
 or squats, above the second the trunk is taken to be upright."""
 _PELVIS, _HEAD = 1, LINKS.index("head")
+"""The pelvis' body in the physics, and the head's link."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -51,7 +52,7 @@ class Assist:
     """The assist of every avatar of a batch.
 
     Args:
-        sim: of the avatars.
+        sim: the simulation of the avatars.
         bound_n: largest magnitude of the force in newtons; 0 turns the assist off.
 
     Attributes:
@@ -66,28 +67,27 @@ class Assist:
     def __init__(self, sim: BatchSim, bound_n: float) -> None:
         n = sim.num_envs
         self._sim, self.bound_n = sim, checked_bound(bound_n)
-        self._mass = 70.0 * (sim.heights / 1.75) ** 3
         self._wrench = sim.batch.bind("xfrc_applied")
-        self._eyes = headsets_at(sim.heights)
+        self._eyes = standing_headsets(sim.user_heights)
         self.force, self.torque = np.zeros((n, 3)), np.zeros((n, 3))
         self.share = np.zeros(n)
-        self._comes = np.zeros(n, bool)
+        self._engaged = np.zeros(n, bool)
         self.reset()
 
     def reset(self) -> None:
-        """Turn the assist off in episodes that begin."""
-        self.share[:], self._comes[:] = 0.0, False
+        """Turn the assist off; call when all episodes begin."""
+        self.share[:], self._engaged[:] = 0.0, False
         self._users: tuple[np.ndarray, np.ndarray] | None = None
         self._body: tuple[np.ndarray, ...] | None = None
-        self._off()
+        self._release()
 
-    def _off(self) -> None:
+    def _release(self) -> None:
         self.force[:], self.torque[:] = 0.0, 0.0
         self._wrench[:, _PELVIS] = 0.0
         self._sim.renew_forces = None
 
     def apply(self, user: np.ndarray, user_quat: np.ndarray) -> None:
-        """Decide on the assist in the coming step; call once before each.
+        """Decide whether the coming step is assisted; call once before each step.
 
         Args:
             user: ``(n, 3)`` positions of the users' headsets in the world in metres.
@@ -106,11 +106,11 @@ class Assist:
         worst = np.maximum(
             np.linalg.norm(error, axis=-1), np.linalg.norm(error + FORESIGHT_S * rate, axis=-1)
         )
-        self._comes |= worst > COMES_M
-        self._comes &= worst > GOES_M
+        self._engaged |= worst > ENGAGE_M
+        self._engaged &= worst > RELEASE_M
         step = 1.0 / (FADE_S * FPS)
-        self.share += np.clip(self._comes - self.share, -step, step)
-        self._off()
+        self.share += np.clip(self._engaged - self.share, -step, step)
+        self._release()
         if self.share.any():
             self._sim.renew_forces = self._renew
         else:
@@ -141,7 +141,8 @@ class Assist:
         turn -= _UPRIGHT_DAMPING * np.cross(lean, lean_rate)
         aside = self._heading - rot.heading(sim.link_quats[:, _HEAD])
         turn[:, 2] += _TURNING * np.sin(aside)
-        self._set(self._mass[:, None] * pull, self._mass[:, None] * turn)
+        mass = sim.masses[:, None]
+        self._set(mass * pull, mass * turn)
 
     def _set(self, force: np.ndarray, torque: np.ndarray) -> None:
         """Bound and fade a wrench ``(n, 3)``, ``(n, 3)``, and apply it."""
@@ -149,7 +150,8 @@ class Assist:
         torque = self.share[:, None] * _bounded(torque, ARM_M * self.bound_n)
         self.force += force / self._sim.substeps
         self.torque += torque / self._sim.substeps
-        self._wrench[:, _PELVIS, :3], self._wrench[:, _PELVIS, 3:] = force, torque
+        self._wrench[:, _PELVIS, :3] = force + self._sim.pusher.force_on(_PELVIS)
+        self._wrench[:, _PELVIS, 3:] = torque
 
 
 def checked_bound(bound_n: float) -> float:
@@ -177,8 +179,8 @@ def headsets(sim: BatchSim) -> np.ndarray:
     return out
 
 
-def headsets_at(heights: np.ndarray) -> np.ndarray:
-    """Heights of the headsets of upright avatars of the given statures, both ``(n,)`` m."""
+def standing_headsets(heights: np.ndarray) -> np.ndarray:
+    """Heights above the floor of the headsets of people of these statures, both ``(n,)`` m."""
     standing = standing_clip(DEFAULT_HEIGHT_M)
     at, _ = device_poses(
         standing.link_position[0], standing.link_quat[0], ["headset"], DEFAULT_HEIGHT_M

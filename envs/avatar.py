@@ -10,6 +10,7 @@ import numpy as np
 
 from questsim.bodies import BodyMap, OwnBody, clips_for, map_of
 from questsim.body import DEFAULT_HEIGHT_M, build_body
+from questsim.heightfield import HeightField
 from questsim.motion.clip import Clip
 from questsim.motion.kinematics import sole_positions
 from questsim.skeleton import DOFS, FOOT_LINKS, LINKS
@@ -65,6 +66,28 @@ class Avatar:
         lowest = np.zeros((len(position), 2, 1, 3))
         lowest[:, :, 0, 2] = self.own.support.lowest(position, quat)
         return lowest
+
+    def clearance(
+        self,
+        position: np.ndarray,
+        quat: np.ndarray,
+        heights: np.ndarray,
+        field: HeightField | None,
+    ) -> np.ndarray:
+        """Height ``(m, 2)`` in metres of each foot's lowest sole point above the ground below it.
+
+        Args:
+            position, quat: ``(m, L, 3)``, ``(m, L, 4)`` of the links.
+            heights: ``(m,)`` statures in metres.
+            field: the ground; None for a plane.
+        """
+        clearance = np.empty((len(heights), 2))
+        for height in np.unique(heights):
+            these = heights == height
+            soles = self.soles(position[these], quat[these], float(height))
+            above = soles[..., 2] - (0.0 if field is None else field.height_at(soles))
+            clearance[these] = above.min(axis=-1)
+        return clearance
 
 
 def avatar_of(body: OwnBody | None) -> Avatar:

@@ -6,37 +6,24 @@ Every interface (gymnasium, vector, stable-baselines3, kinematic) is a thin laye
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from envs import footing, kernels
 from envs.actions import checked_actions
 from envs.avatar import avatar_of
 from envs.bodies import Bodies, models_of, on_their_bodies
 from envs.config import EnvConfig
 from envs.episode_random import Seeds, Streams
 from envs.footed_clip import footed_clip, joined
-from envs.kernel_arguments import (
-    Devices,
-    Episodes,
-    Privileged,
-    ReferencePoses,
-    ReferenceRows,
-    Scores,
-    State,
-    Target,
-    ground_of,
-)
-from envs.layout import SCAN_POINTS, observation_layout, observation_size
+from envs.initial_states import InitialStates, estimates_of
+from envs.kernel_arguments import Episodes, State
+from envs.kernel_runner import KernelRunner
+from envs.moment import moment_of
 from envs.physics import Physics
-from envs.placement import moved, turn_quat, turned
 from envs.reference import Reference, check_shown
 from envs.sampler import Sampler
-from envs.starts import Estimates
 from envs.surroundings import Surroundings
 from questsim import rotations as rot
 from questsim.bodies import clip_for
@@ -44,23 +31,11 @@ from questsim.errors import InputError
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.reproportion import with_proportions
 from questsim.reward import COMPILED, Moment, extra_terms
-from questsim.reward import Reference as MomentReference
 
 _CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL.value)
-_NOW = np.zeros(1, np.int64)
 
 # State of a running episode, besides the physics.
 _EPISODE = ("clip", "frame", "_first", "_end", "contact_force", "_previous_force")
-
-
-class _View(NamedTuple):
-    """A reference, its present target, and the observation of it."""
-
-    poses: ReferencePoses
-    rows: ReferenceRows
-    devices: Devices
-    target: Target
-    observation: np.ndarray
 
 
 class BatchSim:
@@ -88,6 +63,8 @@ class BatchSim:
             the physics failed), the clip ended, the physics was not finite or ran out of memory.
         clip, frame: ``(n,)`` clip being played and present row of the reference.
         bodies: stature and proportions of each avatar.
+        heights, user_heights, masses: ``(n,)`` stature of the avatars and of their users in metres,
+            and mass of the avatars in kg.
         placement, pusher, objects, signals: see ``Surroundings``.
         unstable_count: total number of resets because the physics was unstable.
     """
@@ -117,15 +94,14 @@ class BatchSim:
             check_shown(clips, shown)
             seen = Reference.of(shown, self.config, seed)
         self.avatar = avatar_of(self.config.body)
-        self._sizes = len(self.avatar.dofs), len(self.avatar.links)
-        self._positions, self._velocities = 7 + self._sizes[0], 6 + self._sizes[0]
-        self._links = slice(1, 1 + self._sizes[1])
-        self.layout = observation_layout(self.config)
+        dofs, links = len(self.avatar.dofs), len(self.avatar.links)
+        self._positions, self._velocities = 7 + dofs, 6 + dofs
+        self._links = slice(1, 1 + links)
         self.bodies = Bodies(clips, self.config, n, self.reference.heights)
         self.heights = self.bodies.heights
-        self._user_heights = self.heights - self.config.unscaled_m
-        self._ratio = self._user_heights / self.avatar.base_m
-        self._estimates = self._estimates_of(begin_at)
+        self.user_heights = self.heights - self.config.unscaled_m
+        ratio = self.user_heights / self.avatar.base_m
+        estimates = estimates_of(begin_at, self.config, self.bodies, self.reference)
         self._build_batch(num_threads, seed)
         self._streams = Streams(n, seed, 0)
         sampling, of_clip = self.config.sampling, self.bodies.of_clip
@@ -134,38 +110,31 @@ class BatchSim:
             of_clip=of_clip if self.bodies.differ else None,
         )  # fmt: skip
         self._all = np.arange(n)
-        self._floor = np.zeros(n)
-        self._around = Surroundings(self.config, self.reference, self._ratio, self.batch, seed)
+        self._around = Surroundings(self.config, self.reference, ratio, self.batch, seed)
         self.placement, self.pusher = self._around.placement, self._around.pusher
         self.objects, self.signals = self._around.objects, self._around.signals
-        self._ground = ground_of(self.placement.field)
-        self._begin_episodes()
-        compiled = slice(0, len(COMPILED))
-        reward = self.config.reward
-        self._weights, self._kernels = reward.weights[compiled], reward.kernels[compiled]
-        # The present pose. Teachers also need the next: their springs pull halfway towards it.
-        shows = self.config.privileged_frames if self.config.privileged else ()
-        self._ahead, self._legs = np.unique((0, 1, *shows) if shows else (0,)), footing.legs()
-        offsets = np.array(shows, np.int64)
-        self._privileged = Privileged(offsets, np.searchsorted(self._ahead, offsets))
+        self._initial = InitialStates(
+            self.config, self.reference, self.bodies, ratio, self.placement, self._around.starts,
+            estimates, self._clearance_in,
+        )  # fmt: skip
+        self._begin_episodes(ratio)
         references = (self.reference,) if shown is None else (self.reference, seen)
-        self._views = tuple(self._view(reference) for reference in references)
-        # Target of the links. On a terrain it also adapts walking feet; the observation does not.
-        level = self.placement.field is None
-        self._target = self._views[0].target if level else Target.of(n, 1, *self._sizes)
-        self.true_observation = self._views[0].observation
-        self.observation = self._views[-1].observation
-        self.reward, compiled_terms = np.zeros(n), np.zeros((n, len(COMPILED)))
-        self.reward_names = reward.terms
-        own = len(self.reward_names) > len(COMPILED)
-        self.reward_terms = np.zeros((n, len(self.reward_names))) if own else compiled_terms
-        self.error = np.zeros(n)
-        self._scores = Scores(compiled_terms, self.reward, self.error)
+        self._runner = KernelRunner(
+            self.config, self._state, self._episodes, self._around, references,
+            self._previous_force, num_threads,
+        )  # fmt: skip
+        self.layout, scores = self._runner.layout, self._runner.scores
+        self.true_observation = self._runner.views[0].observation
+        self.observation = self._runner.views[-1].observation
+        self.reward, self.error, self.reward_terms = scores.reward, scores.error, scores.terms
+        self.reward_names = self.config.reward.terms
+        if len(self.reward_names) > len(COMPILED):
+            self.reward_terms = np.zeros((n, len(self.reward_names)))
         self.fell, self.ended = np.zeros(n, bool), np.zeros(n, bool)
         self.unstable, self._counted = np.zeros(n, bool), np.zeros(n, bool)
         self.unstable_count = 0
 
-    def _begin_episodes(self) -> None:
+    def _begin_episodes(self, ratio: np.ndarray) -> None:
         """Arrays that every kernel reads: the episodes and the physics state."""
         n = self.num_envs
         self.clip, self.frame = np.zeros(n, np.int64), np.zeros(n, np.int64)
@@ -174,40 +143,10 @@ class BatchSim:
         self.contact_force = np.zeros((n, 2, 3))
         self._previous_force = np.zeros((n, 2))
         place, scale = self.placement.place, self.bodies.scale(self.config)
-        self._episodes = Episodes(self.frame, self._begin, self._end, place, self._ratio, scale)
+        self._episodes = Episodes(self.frame, self._begin, self._end, place, ratio, scale)
         self._state = State(
             self.qpos, self.qvel, self._xpos, self._xquat, self._cvel, self._com, self.contact_force
         )
-
-    def _view(self, reference: Reference) -> _View:
-        frames, signals = np.array(self.config.frame_offsets), self.signals
-        return _View(
-            reference.poses,
-            reference.rows,
-            Devices(
-                reference.dev_position,
-                reference.dev_quat,
-                signals.late,
-                signals.newest,
-                frames,
-                self._around.faults.poses,
-            ),
-            Target.of(self.num_envs, len(self._ahead), *self._sizes),
-            np.zeros((self.num_envs, observation_size(self.layout)), np.float32),
-        )
-
-    def _estimates_of(self, begin_at: Mapping[str, Clip] | None) -> Estimates | None:
-        asked = self.config.starts is not None and self.config.starts.estimate > 0.0
-        if asked != (begin_at is not None):
-            fix = "give both or neither"
-            raise InputError("starts.estimate and begin_at belong together", "BatchSim", fix)
-        if begin_at is None:
-            return None
-        if any(self.bodies.proportions):
-            what = "estimates are of the default body's proportions, the clips are not"
-            raise InputError(what, "starts.estimate", "leave one out")
-        reference = self.reference
-        return Estimates(begin_at, reference.names, list(reference.end - reference.start))
 
     def _build_batch(self, num_threads: int, seed: int) -> None:
         self.body, models = models_of(self.bodies, self.config, self.avatar, seed)
@@ -215,15 +154,14 @@ class BatchSim:
         self._physics = Physics(models, num_threads)
         self.batch = self._physics.batch
         self.torque_limits = np.stack([m.actuator_ctrlrange[:, 1] for m in models])
-        self._chunks = kernels.chunks(self.num_envs, num_threads)
-        self._pool = ThreadPoolExecutor(num_threads) if len(self._chunks) > 1 else None
+        self.masses = np.array([m.body_mass[self._links].sum() for m in models])
         bind = self.batch.bind
         self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self._xpos, self._xquat, self._cvel = bind("xpos"), bind("xquat"), bind("cvel")
         self._com, self._sensors = bind("subtree_com"), bind("sensordata")
         self.renew_forces: Callable[[], None] | None = None
 
-    # -- what evaluation and rendering read ----------------------------------------------
+    # -- read by evaluation and rendering --------------------------------------------------
 
     @property
     def link_positions(self) -> np.ndarray:
@@ -243,7 +181,7 @@ class BatchSim:
     @property
     def floor(self) -> np.ndarray:
         """``(n,)`` height in metres of the ground under each avatar, the origin of frame S."""
-        return self._floor
+        return self._runner.floor
 
     def placed_clip(self, i: int, clip: Clip) -> Clip:
         """Reference of simulation ``i`` in the world.
@@ -255,7 +193,7 @@ class BatchSim:
         """
         own, place = self.config.body, self.placement
         if own is None:
-            scaled = clip.scaled(float(self._user_heights[i]))
+            scaled = clip.scaled(float(self.user_heights[i]))
             scaled = with_proportions(scaled, self.bodies.proportions[i])
         else:
             scaled = clip_for(own, clip)
@@ -274,16 +212,9 @@ class BatchSim:
 
     def _clearance(self, ids: np.ndarray) -> np.ndarray:
         position, quat = self.link_positions[ids], self.link_quats[ids]
-        field = self.placement.field
-        clearance, heights = np.empty((len(ids), 2)), self.heights[ids]
-        for height in np.unique(heights):
-            these = heights == height
-            soles = self.avatar.soles(position[these], quat[these], float(height))
-            above = soles[..., 2] - (0.0 if field is None else field.height_at(soles))
-            clearance[these] = above.min(axis=-1)
-        return clearance
+        return self.avatar.clearance(position, quat, self.heights[ids], self.placement.field)
 
-    # -- the environment ------------------------------------------------------------------
+    # -- episodes --------------------------------------------------------------------------
 
     def reset(self, ids: np.ndarray | None = None, clip: int | None = None, frame: int = 0) -> None:
         """Begin episodes in the simulations ``ids`` (all, if None).
@@ -309,46 +240,16 @@ class BatchSim:
         rows = self.frame[ids]
         self.placement.draw(ids, clips)
         self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE.value))
-        self._run(self._target_chunk, [(0, len(ids))], ids)
+        self._runner.fill_targets(ids)
         self._physics.stopped[ids], self._counted[ids] = False, False
-        self._pose(ids, rows, clips)
+        qpos, qvel = self._initial.draw(ids, rows, clips, self._runner.target)
+        self.qpos[ids, : self._positions], self.qvel[ids, : self._velocities] = qpos, qvel
         self._around.begin(ids, rows, clips)
         with self._physics.surviving():
             self.batch.forward(ids, stage=_CURRENT)
         self.contact_force[ids] = 0.0
         self._previous_force[ids] = 0.0
-        self._observe(ids)
-
-    def _pose(self, ids: np.ndarray, rows: np.ndarray, clips: np.ndarray) -> None:
-        """Set the initial states: rows of the reference, changed where ``starts`` asks for it."""
-        scale = self._ratio[ids, None]
-        qpos = self.reference.qpos[rows].astype(float)
-        qvel = self.reference.qvel[rows].astype(float)
-        qpos[:, :3] *= scale
-        qvel[:, :3] *= scale
-        if self.placement.field is not None:
-            self._put_on_ground(ids, qpos, qvel)
-        # An avatar of another size than its user stands on the ground like the user.
-        if self.config.unscaled_m != 0.0:
-            qpos[:, 2] *= self.heights[ids] / self._user_heights[ids]
-        estimate = self._estimate(ids, rows, clips)
-        clearance = partial(self._clearance_in, ids)
-        self._around.starts.change(ids, clips, qpos, qvel, clearance, estimate)
-        self.qpos[ids, : self._positions], self.qvel[ids, : self._velocities] = qpos, qvel
-
-    def _estimate(self, ids: np.ndarray, rows: np.ndarray, clips: np.ndarray) -> Any:
-        """The estimates of rows of the reference, in the world; None without estimates."""
-        if self._estimates is None:
-            return None
-        has, qpos, qvel = self._estimates.at(clips, rows - self.reference.start[clips])
-        scale, place = self._ratio[ids, None], self.placement.place[ids]
-        qpos[:, :3], qvel[:, :3] = moved(place, qpos[:, :3] * scale), turned(place, qvel[:, :3])
-        qvel[:, :3] *= scale
-        qpos[:, 3:7] = rot.quat_multiply(turn_quat(place), qpos[:, 3:7])
-        field = self.placement.field
-        if field is not None:
-            qpos[:, 2] += field.ground_at(qpos[:, :2])
-        return has, qpos, qvel
+        self._runner.observe(ids)
 
     def _clearance_in(self, ids: np.ndarray, qpos: np.ndarray) -> np.ndarray:
         """Height ``(m,)`` above the ground of the lowest sole point in poses ``(m, 40)``."""
@@ -356,15 +257,6 @@ class BatchSim:
         with self._physics.surviving():
             self.batch.forward(ids, stage=int(mujoco.mjtStage.mjSTAGE_POS.value))
         return self._clearance(ids).min(axis=-1)
-
-    def _put_on_ground(self, ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
-        """Move poses to their places and put their feet on the ground; no sole is below it."""
-        place, target = self.placement.place[ids], self._target
-        qpos[:, :3], qpos[:, 7:] = target.position[ids, 0, 0], target.angles[ids, 0]
-        qpos[:, 3:7] = rot.quat_multiply(turn_quat(place), qpos[:, 3:7])
-        qvel[:, :3] = turned(place, qvel[:, :3])
-        qvel[:, 2] += target.rise[ids, 0, 0]
-        qpos[:, 2] += np.maximum(-self._clearance_in(ids, qpos), 0.0)
 
     def step(self, action: np.ndarray) -> None:
         """Advance 1/36 s under torques ``action * torque_limits``, and score the new state.
@@ -413,8 +305,8 @@ class BatchSim:
             np.negative(feet, out=self.contact_force)
         self.frame += 1
         np.minimum(self.frame, self._end - 1, out=self.frame)
-        self._run(self._score_chunk, self._chunks)
-        if self.reward_terms is not self._scores.terms:
+        self._runner.score()
+        if self.reward_terms is not self._runner.scores.terms:
             self._add_extra_terms()
         self.unstable[:] = self._physics.unstable()
         self.unstable |= ~np.isfinite(self.error + self.reward)
@@ -426,9 +318,9 @@ class BatchSim:
         np.logical_and(self.frame >= self._end - 1, ~self.fell, out=self.ended)
         self.signals.advance(self.frame + self.config.frame_offsets[-1] - self.signals.late)
         self._recentre()
-        self._observe(self._all)
+        self._runner.observe(self._all)
         if self.unstable.any():
-            for view in self._views:
+            for view in self._runner.views:
                 broken = view.observation[self.unstable]
                 view.observation[self.unstable] = np.nan_to_num(broken, posinf=0.0, neginf=0.0)
 
@@ -439,10 +331,10 @@ class BatchSim:
             return
         since = self.frame - self.reference.start[self.clip] - self._first
         running = self.frame < self._end - 1
-        root = self._views[0].target.position[:, 0, 0, :2]
+        root = self._runner.views[0].target.position[:, 0, 0, :2]
         ids = self._around.faults.recentre(np.where(running, since, -1), self.placement.place, root)
         if len(ids):
-            self._run(self._target_chunk, [(0, len(ids))], ids)
+            self._runner.fill_targets(ids)
 
     def record_ended(self, ids: np.ndarray) -> None:
         """Tell the sampler how the episodes of ``ids`` ended; call before their ``reset``."""
@@ -450,96 +342,30 @@ class BatchSim:
         length = self.frame[ids] - self.reference.start[self.clip[ids]] - first
         self._sampler.record(self.clip[ids], first, length, self.fell[ids])
 
-    def _run(self, work: Any, parts: list[tuple[int, int]], *arguments: Any) -> None:
-        if self._pool is None or len(parts) < 2:
-            for first, last in parts:
-                work(first, last, *arguments)
-        else:
-            done = [self._pool.submit(work, first, last, *arguments) for first, last in parts]
-            for future in done:
-                future.result()
-
-    def _target_chunk(self, first: int, last: int, ids: np.ndarray) -> None:
-        for view in self._views:
-            self._fill(first, last, ids, view.poses, self._ahead, 0.0, view.target)
-        if self._target is not self._views[0].target:
-            self._fill(first, last, ids, self._views[0].poses, _NOW, 1.0, self._target)
-
-    def _fill(
-        self,
-        first: int,
-        last: int,
-        ids: np.ndarray,
-        poses: ReferencePoses,
-        ahead: np.ndarray,
-        walking: float,
-        target: Target,
-    ) -> None:
-        footing.fill(
-            first, last, ids, self._episodes, ahead, poses, self._ground, self._legs, walking,
-            target,
-        )  # fmt: skip
-
-    def _score_chunk(self, first: int, last: int) -> None:
-        self._target_chunk(first, last, self._all)
-        kernels.score(
-            first, last, self._state, self._previous_force, self._episodes, self._views[0].rows,
-            self._target, self._kernels, self._weights, self._scores,
-        )  # fmt: skip
-
     def _add_extra_terms(self) -> None:
         """Reward terms that are not compiled, for the whole batch in one thread."""
         first = len(COMPILED)
         extra = extra_terms(self.config.reward, self.moment())
         # Where the physics failed, every term is zero; elsewhere a term must be finite.
-        wrong = ~np.isfinite(extra) & np.isfinite(self._scores.reward + self.error)[:, None]
+        wrong = ~np.isfinite(extra) & np.isfinite(self.reward + self.error)[:, None]
         if wrong.any():
             name = self.reward_names[first + int(np.flatnonzero(wrong.any(axis=0))[0])]
             raise ValueError(f"reward term {name!r} is not finite")
-        self.reward_terms[:, :first], self.reward_terms[:, first:] = self._scores.terms, extra
+        self.reward_terms[:, :first] = self._runner.scores.terms
+        self.reward_terms[:, first:] = extra
         self.reward += extra @ self.config.reward.weights[first:]
 
     def moment(self) -> Moment:
         """Data of the last step that reward terms read."""
-        rows, target = self._views[0].rows, self._target
-        now, scale, place = self.frame, self._ratio[:, None, None], self.placement.place
-        arm, cvel = self.link_positions - self._com[:, 1:2], self._cvel[:, self._links]
-        velocity = turned(place, rows.velocity[now] * scale)
-        velocity[..., 2] += target.rise[:, 0]
-        return Moment(
-            joint_angles=self.joint_angles,
-            joint_velocities=self.qvel[:, 6 : self._velocities],
-            link_positions=self.link_positions,
-            link_velocities=cvel[..., 3:] + np.cross(cvel[..., :3], arm),
-            link_quats=self.link_quats,
-            foot_force=self.contact_force[..., 2],
-            previous_foot_force=self._previous_force,
+        return moment_of(
+            self._state,
+            self._episodes,
+            self._runner.views[0].rows,
+            self._runner.target,
             torque=self.ctrl,
             torque_limits=self.torque_limits,
-            reference=MomentReference(
-                joint_angles=target.angles[:, 0],
-                joint_velocities=rows.qvel[now, 6:],
-                link_positions=target.position[:, 0],
-                link_velocities=velocity,
-                link_quats=rot.quat_multiply(turn_quat(place)[:, None], target.quat[:, 0]),
-            ),
+            previous_force=self._previous_force,
         )
-
-    def _observe(self, ids: np.ndarray) -> None:
-        parts = self._chunks if len(ids) == self.num_envs else [(0, len(ids))]
-        self._run(self._observe_chunk, parts, ids)
-
-    def _observe_chunk(self, first: int, last: int, ids: np.ndarray) -> None:
-        for view in self._views:
-            kernels.observe(
-                first, last, ids, self._state, self._episodes, view.rows, view.target,
-                view.devices, self._privileged, self._ground, self._floor, view.observation,
-            )  # fmt: skip
-            if "height_scan" in self.layout:
-                kernels.scan(
-                    first, last, ids, self._state, SCAN_POINTS, self._ground, self._floor,
-                    self.layout["height_scan"].start, view.observation,
-                )  # fmt: skip
 
     def seed(self, seeds: Seeds) -> None:
         """Seed the random streams of episodes: clips, frames and everything else drawn per episode.
@@ -576,27 +402,23 @@ class BatchSim:
         Raises:
             InputError: the state has a different number of simulations.
         """
-        if "physics" in state and state["physics"].shape != self.batch.state.shape:
-            raise InputError(
-                f"state is of {len(state['physics'])} simulations", "resume", "use as many"
-            )
+        if state["physics"].shape != self.batch.state.shape:
+            count = len(state["physics"])
+            what = f"the saved state is of {count} simulations, this batch has {self.num_envs}"
+            raise InputError(what, "resume", f"use {count}")
         self._streams.set_state(state["rng"])
         self._sampler.set_state(state["sampler"])
-        if "physics" not in state:  # of an earlier version: episodes begin anew
-            return
         self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE.value))
         self.batch.state[:] = state["physics"]
         self.batch.forward(stage=_CURRENT)
         for name in _EPISODE:
             getattr(self, name)[:] = state["episodes"][name]
         self._begin[:] = self.reference.start[self.clip]
-        if "surroundings" in state:  # earlier versions knew of none
-            self._around.set_state(state["surroundings"])
+        self._around.set_state(state["surroundings"])
         self.unstable_count = state["unstable_count"]
-        self._run(self._target_chunk, self._chunks, self._all)
-        self._observe(self._all)
+        self._runner.fill_targets(self._all)
+        self._runner.observe(self._all)
 
     def close(self) -> None:
         """Stop the threads."""
-        if self._pool is not None:
-            self._pool.shutdown()
+        self._runner.close()

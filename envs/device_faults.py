@@ -96,9 +96,8 @@ class SignalFaults:
         """Restore the result of ``get_state``."""
         self._streams.set_state(state["rng"])
         self.newest[:], self._until[:] = state["newest"], state["until"]
-        if "jitter" in state:  # earlier versions had none
-            self._jitter_streams.set_state(state["jitter"])
-            self._arrived[:] = state["arrived"]
+        self._jitter_streams.set_state(state["jitter"])
+        self._arrived[:] = state["arrived"]
 
 
 class DeviceFaults:

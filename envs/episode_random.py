@@ -57,14 +57,11 @@ class Streams:
         return (bits >> np.uint64(11)) * 2.0**-53
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """Where the streams stand."""
+        """State that determines all later numbers."""
         return {"start": self._start.copy(), "drawn": self._drawn.copy()}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on where ``get_state`` stood."""
-        if "bit_generator" in state:  # earlier versions had one stream
-            self.seed(int(state["state"]["state"]) % 2**64)
-            return
+        """Restore the result of ``get_state``."""
         self._start[:], self._drawn[:] = state["start"], state["drawn"]
 
 

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from envs.footing import fill, legs
+from envs.footing import fill
 from envs.footsteps import footsteps_of
 from envs.kernel_arguments import Episodes, ReferencePoses, Target, ground_of
+from envs.leg_ik import legs
 from envs.placement import moved, turn_quat, turned
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M

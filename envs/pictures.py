@@ -23,7 +23,8 @@ def check_render_mode(render_mode: Any, modes: list[str]) -> None:
     """
     if render_mode is not None and render_mode not in modes:
         listed = ", ".join(map(repr, modes))
-        raise InputError(f"is {str(render_mode)[:80]!r}", "render_mode", f"use None or {listed}")
+        what = f"{str(render_mode)[:80]!r} is not a render mode"
+        raise InputError(what, "render_mode", f"use None or {listed}")
     if render_mode == "human":
         _pygame()
 

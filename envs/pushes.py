@@ -45,7 +45,8 @@ class Pushes:
         ):
             check_range(name, getattr(self, name), 0.0, most, "pushes")
         if self.body not in LINKS:
-            raise InputError(f"no link {self.body!r}", "pushes", f"choose from {', '.join(LINKS)}")
+            what = f"there is no link {self.body!r}"
+            raise InputError(what, "pushes", f"choose from {', '.join(LINKS)}")
         if self.count is not None and self.count < 1:
             raise InputError(f"count is {self.count}, not at least 1", "pushes", "leave them out")
 
@@ -116,8 +117,10 @@ class Pusher:
         force = np.asarray(force, float)
         if force.shape != (3,) or not np.linalg.norm(force) <= MAX_FORCE_N:
             raise InputError(f"force {force} is not three numbers up to {MAX_FORCE_N:g} N", "push")
-        if not 0.0 <= seconds <= MAX_SECONDS or body not in LINKS:
-            raise InputError(f"{seconds} s on {body!r}", "push", f"links are {', '.join(LINKS)}")
+        if not 0.0 <= seconds <= MAX_SECONDS:
+            raise InputError(f"{seconds:g} s is not within 0 and {MAX_SECONDS:g} s", "push")
+        if body not in LINKS:
+            raise InputError(f"there is no link {body!r}", "push", f"use {', '.join(LINKS)}")
         self._wrench[i] = 0.0
         self._wish[i], self._left_s[i], self._body[i] = force, seconds, 1 + self._avatar.link(body)
 
@@ -156,6 +159,10 @@ class Pusher:
         self.force[:] = share[:, None] * self._wish
         self._wrench[np.arange(len(share)), self._body, :3] = self.force
         self._left_s[:] = np.maximum(self._left_s - 1.0 / FPS, 0.0)
+
+    def force_on(self, body: int) -> np.ndarray:
+        """Forces ``(n, 3)`` N of the present step on one body of the physics."""
+        return np.where((self._body == body)[:, None], self.force, 0.0)
 
     def seed(self, seeds: Seeds) -> None:
         """Seed the random streams of pushes."""

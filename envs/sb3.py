@@ -209,10 +209,9 @@ class QuestVecEnv(VecEnv, EzPickle):
         self._unseeded = False
         # A pending seed would overwrite the restored random numbers at the next reset.
         self._reset_seeds()
-        if "physics" in state:
-            self._return[:], self._length[:] = state["returns"], state["lengths"]
-            self._terms[:] = state["terms"]
-            self._restored = True
+        self._return[:], self._length[:] = state["returns"], state["lengths"]
+        self._terms[:] = state["terms"]
+        self._restored = True
 
     def get_images(self) -> Sequence[np.ndarray | None]:
         """An image ``(480, 640, 3)`` uint8 of each avatar; None without a render mode."""

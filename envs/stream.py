@@ -156,6 +156,6 @@ class StreamSim(BatchSim):
     def look(self) -> np.ndarray:
         """Observe the present state and the window; ``observation``, ``(1, size)``."""
         self.frame[:] = NOW
-        self._run(self._target_chunk, self._chunks, self._all)
-        self._observe(self._all)
+        self._runner.fill_targets(self._all)
+        self._runner.observe(self._all)
         return self.observation

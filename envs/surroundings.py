@@ -108,5 +108,4 @@ class Surroundings:
     def set_state(self, state: dict[str, Any]) -> None:
         """Restore the result of ``get_state``."""
         for name, part in self._parts().items():
-            if name in state:  # earlier versions had no starts and faults
-                part.set_state(state[name])
+            part.set_state(state[name])

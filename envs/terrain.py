@@ -99,7 +99,7 @@ class Terrain:
                     f"unknown {what} {value!r}", "terrain", f"choose from {', '.join(known)}"
                 )
         if not self.tiles:
-            raise InputError("a course without tiles", "terrain")
+            raise InputError("the course has no tiles", "terrain")
         for name, (least, most) in RANGES.items():
             value = getattr(self, name)
             if not isinstance(value, (int, float)) or not least <= value <= most:

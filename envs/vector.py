@@ -186,4 +186,5 @@ def _autoreset(mode: Any) -> AutoresetMode:
         if mode is known or (isinstance(mode, str) and mode in (known.name, known.value)):
             return known
     names = ", ".join(known.name for known in AutoresetMode)
-    raise InputError(f"is {str(mode)[:80]!r}", "autoreset_mode", f"use {names}")
+    what = f"{str(mode)[:80]!r} is not an autoreset mode"
+    raise InputError(what, "autoreset_mode", f"use {names}")

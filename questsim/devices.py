@@ -104,7 +104,7 @@ class DeviceFrame:
             InputError: unknown device or convention, wrong shape, numbers that are not finite or
                 too large, or a quaternion or matrix that is not a rotation. Names the device.
         """
-        told = convention_named(convention)
+        rules = convention_named(convention)
         time_s = _time(time_s)
         out = {}
         for name, value in poses.items():
@@ -112,7 +112,7 @@ class DeviceFrame:
                 known = ", ".join(DEVICES)
                 raise InputError(f"unknown device {name!r}", "device frame", f"known are {known}")
             if value is not None:
-                out[name] = _read_pose(value, told, name)
+                out[name] = _read_pose(value, rules, name)
         return DeviceFrame(time_s, out)
 
 
@@ -135,14 +135,14 @@ def to_ours(
 
     Input quaternions are in the convention's order, output quaternions are wxyz.
     """
-    told = convention_named(convention)
+    rules = convention_named(convention)
     quat = np.asarray(quat, float)
-    if not told.scalar_first:
+    if not rules.scalar_first:
         quat = quat[..., [3, 0, 1, 2]]
-    axes = told.matrix
+    axes = rules.matrix
     # A change of handedness reverses rotations: their axes are pseudovectors.
     turned = np.linalg.det(axes) * quat[..., 1:] @ axes.T
-    position = told.unit_m * (np.asarray(position, float) @ axes.T)
+    position = rules.unit_m * (np.asarray(position, float) @ axes.T)
     return position, np.concatenate([quat[..., :1], turned], axis=-1)
 
 
@@ -153,19 +153,19 @@ def from_ours(
 
     The inverse of ``to_ours``: positions in the convention's unit, quaternions in its order.
     """
-    told = convention_named(convention)
-    quat, axes = np.asarray(quat, float), told.matrix
+    rules = convention_named(convention)
+    quat, axes = np.asarray(quat, float), rules.matrix
     turned = np.linalg.det(axes) * quat[..., 1:] @ axes
     out = np.concatenate([quat[..., :1], turned], axis=-1)
-    if not told.scalar_first:
+    if not rules.scalar_first:
         out = out[..., [1, 2, 3, 0]]
-    return np.asarray(position, float) @ axes / told.unit_m, out
+    return np.asarray(position, float) @ axes / rules.unit_m, out
 
 
 def _time(value: float) -> float:
     try:
         time_s = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         time_s = np.nan
     if not np.isfinite(time_s):
         raise InputError(f"time {value!r} is not a finite number", "device frame")
@@ -177,7 +177,7 @@ def _read_pose(
 ) -> DevicePose:
     try:
         numbers = np.asarray(value, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"pose of {name} is not made of numbers", "device frame") from None
     if numbers.shape not in ((7,), (3, 4), (4, 4)):
         raise InputError(

@@ -220,7 +220,7 @@ def _read_own(path: Path) -> Recording:
                     header = _checked_header(line, where)
                     continue
                 if "t" not in line:
-                    raise InputError("has no t", where)
+                    raise InputError("has no time t", where)
                 time_s = line.pop("t")
                 frames.append(_frame(time_s, line, header["convention"], where))
     except (OSError, EOFError, UnicodeDecodeError, zlib.error):

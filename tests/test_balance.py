@@ -15,7 +15,7 @@ from agents.policy.balance import FLIGHT, OUTPUTS, STANDING, Balance
 from agents.policy.networks import TorquePolicy
 from agents.policy.policy_agent import PolicyAgent, head_alone, new_policy
 from agents.policy.spec import SPARSE_BLOCKS, TRACKER_BLOCKS, Layout, PolicySpec
-from agents.training.make_learner import copy_actor
+from agents.training.start_from import copy_actor
 from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.layout import observation_layout
@@ -46,7 +46,7 @@ def walking() -> BatchSim:
     sim = BatchSim(WALKS, config)
     sim.reset()
     sim.contact_force[:, :, 2] = [[300.0, 100.0], [0.0, 700.0], [250.0, 0.0]]
-    sim._observe(np.arange(3))
+    sim._runner.observe(np.arange(3))
     return sim
 
 

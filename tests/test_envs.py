@@ -313,19 +313,6 @@ def test_a_restored_environment_goes_on_to_the_bit() -> None:
     np.testing.assert_array_equal(other.reset(), env.reset())
 
 
-def test_a_state_without_physics_resumes_the_stream_of_episodes() -> None:
-    """As earlier versions saved it."""
-    env = resumable(seed=9)
-    env.reset()
-    for action in actions(5, 30, 0.5):
-        env.step(action)
-    state = {name: value for name, value in env.get_state().items() if name in ("rng", "sampler")}
-    other = resumable(seed=1)
-    other.seed(4)
-    other.set_state(state)
-    np.testing.assert_array_equal(other.reset(), env.reset())
-
-
 def test_a_state_of_another_number_of_environments_is_refused() -> None:
     with pytest.raises(InputError, match="of 5 simulations"):
         QuestVecEnv(CLIPS, num_envs=2).set_state(resumable(seed=0).get_state())

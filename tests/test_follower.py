@@ -7,12 +7,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from agents.agent import ZeroAgent
-from agents.evaluation.assisted import AssistUse
+from agents.evaluation.assisted import AssistUse, user_headsets
+from agents.evaluation.follow import evaluation_sim
 from agents.evaluation.rollout import env_config, roll_out
 from agents.follower import Calibration, Follower, calibrate
 from agents.follower.bridge import Bridge
 from agents.follower.stance import estimated_pose
 from agents.loading import load_agent
+from envs.assist import Assist, headsets
+from envs.config import EnvConfig
 from envs.objects import objects_named
 from questsim import rotations as rot
 from questsim.devices import DeviceFrame, DevicePose
@@ -250,6 +253,40 @@ def test_an_avatar_that_keeps_up_is_not_helped():
     np.testing.assert_array_equal(helped.link_position, alone.link_position)
 
 
+def test_the_assist_reads_the_user_of_an_avatar_of_another_stature():
+    user = CLIPS["synthetic-walk-1.2-start-stop"]
+    sim = evaluation_sim([user], EnvConfig(unscaled_m=0.2, fixed_start=True))
+    sim.reset()
+    sim.step(np.zeros((1, 33)))
+    position, quat = user_headsets(sim)
+    true, turned = device_poses(
+        user.link_position[1], user.link_quat[1], ["headset"], user.height_m
+    )
+    np.testing.assert_allclose(position, true, atol=1e-5)
+    np.testing.assert_allclose(np.abs((quat * turned).sum()), 1.0, atol=1e-6)
+    sim.close()
+
+
+def test_the_assist_adds_to_a_push_on_the_pelvis():
+    sim = evaluation_sim([CLIPS["synthetic-stand-1"]], EnvConfig(fixed_start=True))
+    sim.reset()
+    assist = Assist(sim, 0.001)
+    sim.pusher.push(0, np.array([100.0, 0.0, 0.0]), 1.0, "pelvis")
+    far = headsets(sim) + 1.0
+    for _ in range(3):
+        assist.apply(far, np.array([[1.0, 0.0, 0.0, 0.0]]))
+        sim.step(np.zeros((1, 33)))
+    wrench = sim.batch.bind("xfrc_applied")[0, 1]
+    assert 0.0 < np.linalg.norm(assist.force[0]) <= 0.001
+    np.testing.assert_allclose(wrench[:3], [100.0, 0.0, 0.0], atol=0.001)
+    sim.close()
+
+
+def test_an_avatar_without_physics_is_not_assisted():
+    with pytest.raises(InputError, match="without physics cannot be assisted"):
+        Follower("ik", assist_n=100.0)
+
+
 @pytest.mark.parametrize("bound", [-1.0, 5000.0, np.nan])
 def test_an_assist_out_of_range_is_refused(bound):
     with pytest.raises(InputError, match="not within 0 and 2000 N"):
@@ -348,6 +385,23 @@ def test_a_given_stature_tells_where_the_floor_is():
     follower = Follower("questsim-now")
     follower.use(calibration)
     assert follower.step(lifted[0]).root_position[2] == pytest.approx(0.93 - 1.2, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"height_m": "tall"}, "height_m is missing or not a finite number"),
+        ({"floor_m": 10**400}, "floor_m is missing or not a finite number"),
+        ({"mounts": {"hat": {}}}, "'hat', which is not a device"),
+        ({"mounts": {"headset": {"offset": [0, 0], "turn": [1, 0, 0, 0]}}}, "3 finite numbers"),
+        ({"mounts": {"headset": {"offset": [0] * 3, "turn": [0] * 4}}}, "not a unit quaternion"),
+    ],
+)
+def test_a_damaged_calibration_is_refused(change, says):
+    whole = {"height_m": 1.7, "floor_m": 0.0, "heading_rad": 0.0, "mounts": {}}
+    assert Calibration.of(whole) == Calibration(1.7)
+    with pytest.raises(InputError, match=says):
+        Calibration.of(whole | change)
 
 
 def test_a_calibration_comes_back_from_its_file(tmp_path):

@@ -15,14 +15,20 @@ from scipy.spatial.transform import Rotation
 from agents.follower.bridge import IDENTITY
 from agents.headset.messages import MAX_BYTES, MAX_PER_SECOND, Allowance, frame_of, read_message
 from agents.headset.server import PAGE, LiveServer, ground_of, parts_of
-from agents.headset.session import CALIBRATING, CALIBRATION_S, FOLLOWING, LiveSession
+from agents.headset.session import (
+    CALIBRATING,
+    CALIBRATION_S,
+    FOLLOWING,
+    MOST_WAITING,
+    LiveSession,
+)
 from agents.headset.tls import known_host, server_context
 from envs.objects import WorldObject
 from envs.terrain import height_field, terrain_named
 from questsim.cli import main
 from questsim.devices import DeviceFrame, DevicePose
 from questsim.errors import InputError
-from questsim.recordings import Recording, read_recording
+from questsim.recordings import Recording, read_recording, write_recording
 from questsim.synthetic_user import STILL_S, SyntheticUser, stream
 
 UPRIGHT = [0.0, 1.6, 0.0, 0.0, 0.0, 0.0, 1.0]
@@ -169,7 +175,8 @@ RUBBISH = [
     "no json", "[]", '{"type": 3}', '{"type": "shutdown"}', '{"type": "assist", "on": "yes"}',
     frame_text(headset=[0.0] * 7), frame_text(headset=[float("nan")] * 7),
     frame_text(headset=["0"] * 7), frame_text(headset=UPRIGHT[:6]), frame_text(headset=None),
-    frame_text(headset=[1e9, *UPRIGHT[1:]]), frame_text(pelvis_tracker=UPRIGHT),
+    frame_text(headset=[1e9, *UPRIGHT[1:]]), frame_text(headset=[10**400, *UPRIGHT[1:]]),
+    frame_text(pelvis_tracker=UPRIGHT),
     frame_text(float("inf")), frame_text(-1.0), '{"type": "frame"}', "[" * 4000,
 ]  # fmt: skip
 
@@ -345,6 +352,18 @@ def test_command_refuses_options_that_cannot_be_used(words, fault, capsys):
     assert fault in capsys.readouterr().err
 
 
+@pytest.mark.skipif(not PAGE.is_dir(), reason="the page is not built: run make page")
+@pytest.mark.parametrize("words", [["live", "--replay"], ["replay"]])
+def test_command_refuses_to_calibrate_a_user_whose_calibration_is_recorded(words, tmp_path, capsys):
+    path = tmp_path / "me.jsonl.gz"
+    known = {"height_m": 1.7, "floor_m": 0.0, "heading_rad": 0.0, "mounts": {}}
+    write_recording(
+        path, [DeviceFrame.of(t, {"headset": UPRIGHT}) for t in (0.0, 0.1)], "openxr", known
+    )
+    assert main([*words, str(path), "--pose", "a-pose"]) == 2
+    assert "--pose: does nothing" in capsys.readouterr().err
+
+
 def test_command_says_what_builds_a_missing_page(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr("agents.headset.server.PAGE", tmp_path)
     assert main(["live"]) == 2
@@ -381,3 +400,16 @@ def test_the_page_gets_the_ground_in_its_own_axes():
         found = ground["heights"][row * ground["points"] + column]
         assert found == pytest.approx(expected[-1], abs=1e-3)
     assert max(expected) - min(expected) > 0.01
+
+
+def test_a_full_queue_drops_frames_and_no_request():
+    follower = PoseOfHead()
+    session = LiveSession(follower, lambda state: None)  # type: ignore[arg-type]
+    session.assist(False)
+    for number in range(100):
+        session.push(DeviceFrame.of(float(number), {}))
+    assert session.dropped == 100 - MOST_WAITING
+    with session:
+        pass
+    assert follower.assist_n == 0.0 and session.taken == MOST_WAITING
+    assert not session.status()["assist_on"]

@@ -48,7 +48,7 @@ def test_person_in_an_emulated_headset_moves_the_avatar_as_the_recording_does(wa
             assert found.position == pytest.approx(expected.position, abs=1e-4)
             assert abs(found.quat @ expected.quat) == pytest.approx(1.0, abs=1e-6)
     # And the avatar is where the same recording puts it without a page.
-    follower = Follower("hmdposer", assist_n=100.0)
+    follower = Follower("hmdposer")
     rest = calibrated(follower, came)
     poses = replayed(follower, rest)
     last = poses[-1]

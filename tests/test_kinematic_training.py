@@ -216,7 +216,7 @@ def test_a_damaged_or_foreign_checkpoint_is_refused(tmp_path):
         with pytest.raises(InputError, match=says):
             load_module(folder)
     (folder / "system.yaml").write_text(text.replace("training: {}", "training:"))
-    with pytest.raises(InputError, match="training is not a table"):
+    with pytest.raises(InputError, match="training has no list 'trained'"):
         load_module(folder)
     (folder / "system.yaml").write_text(text)
     (folder / "system.safetensors").write_bytes(b"nothing")

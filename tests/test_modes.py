@@ -110,12 +110,19 @@ def test_a_policy_refuses_the_devices_of_a_kinematic_system():
 
 
 @pytest.mark.parametrize(
-    ("option", "stage"),
-    [("teacher", "teacher"), ("teacher", "finetune"), ("teacher", "ppo"), ("start", "ppo")],
+    ("option", "options"),
+    [
+        ("teacher", {"stage": "teacher"}),
+        ("teacher", {"stage": "finetune"}),
+        ("teacher", {"preset": "paper"}),
+        ("start", {"preset": "paper"}),
+        ("start", {"preset": "paper", "stage": "ppo"}),
+    ],
 )
-def test_a_stage_refuses_a_policy_that_it_does_not_build_on(option, stage, tmp_path):
-    args = TrainArgs(tmp_path / "run", stage=stage, **{option: tmp_path})
-    with pytest.raises(InputError, match=f"--{option}: does not go with --stage {stage}"):
+def test_a_training_refuses_a_policy_that_no_stage_builds_on(option, options, tmp_path):
+    args = TrainArgs(tmp_path / "run", **{option: tmp_path}, **options)
+    name, value = list(options.items())[-1]
+    with pytest.raises(InputError, match=f"--{option}: does not go with --{name} {value}"):
         train(args)
     assert not (tmp_path / "run").exists()
 

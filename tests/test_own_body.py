@@ -245,7 +245,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(tmp_path, walk):
         'chest = "torso_link"': ('ches = "torso_link"', "did you mean chest"),
         'left_shin = "left_knee_link"\n': ("", "lacks left_shin"),
         "at = [0.18, 0.0, 0.0]": ("at = [0.18, 0.0]", "not three numbers"),
-        'mjcf = "robot.xml"': ('mjcf = "gone.xml"', "'gone.xml' is no file"),
+        'mjcf = "robot.xml"': ('mjcf = "gone.xml"', "there is no file of mjcf 'gone.xml'"),
         "at = [0.18, 0.0, 0.0": ("at = " + 2000 * "[", "description of a body cannot be read"),
         "\n\n[links]": ("\nsubsteps = 0\n[links]", "substeps is 0"),
         "\n\n[links]\n": ("\n[torque_limits]\nknee = 3\n[links]\n", "no hinge 'knee'"),

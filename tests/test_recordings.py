@@ -129,7 +129,7 @@ GOOD = {"t": 0.0, "headset": [0, 1.6, 0, 0, 0, 0, 1]}
         ([HEADER | {"format": "x"}, GOOD], "line 1: format is 'x'"),
         ([HEADER | {"convention": "blender"}, GOOD], "unknown convention 'blender'"),
         ([HEADER, GOOD, GOOD], "frame 2: time goes from"),
-        ([HEADER, GOOD, {"headset": GOOD["headset"]}], "line 3: has no t"),
+        ([HEADER, GOOD, {"headset": GOOD["headset"]}], "line 3: has no time t"),
         ([HEADER, GOOD | {"headset": [0, 1]}], "line 2: pose of headset has shape"),
         ([HEADER, GOOD | {"hat": GOOD["headset"]}], "line 2: unknown device 'hat'"),
         ([HEADER, {"t": 0.0}], "no frame has a headset"),

@@ -86,7 +86,7 @@ def test_each_trial_has_its_sensors_and_height(library, tmp_path):
         ({"rows": ("h2c", "moon")}, "no 'moon'.*choose from h2c"),
         ({"rows": ("extra",)}, "needs motions"),
         ({"rows": ("h2c",), "extra": "synthetic"}, "not among --rows"),
-        ({"rows": ("hurdle",)}, "no clip for these rows"),
+        ({"rows": ("hurdle",)}, "no clip of these motions suits --rows"),
     ],
 )
 def test_rows_that_cannot_be_are_refused(library, options, message):

@@ -14,7 +14,7 @@ from agents.policy.balance import SIZE, Balance
 from agents.policy.networks import TorquePolicy
 from agents.policy.policy_agent import PolicyAgent, head_alone
 from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
-from agents.training.make_learner import copy_actor
+from agents.training.start_from import copy_actor, copy_head
 from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.layout import observation_layout
@@ -39,7 +39,7 @@ def test_a_foot_in_swing_is_pulled_as_by_a_force_and_one_that_stands_is_not():
     sim = BatchSim(clips, replace(PRIVILEGED, starts=disturbed))
     sim.reset()
     sim.contact_force[:, :, 2] = [[0.0, 700.0], [350.0, 350.0]]
-    sim._observe(np.arange(2))
+    sim._runner.observe(np.arange(2))
     balance = Balance(Layout.of(sim.layout), "steps")
     terms = balance.terms(torch.from_numpy(sim.observation)).numpy()
     to_place = terms[:, SIZE + 12 : SIZE + 24]
@@ -96,3 +96,13 @@ def test_a_teacher_with_balance_alone_can_be_trained_on_with_foot_placement():
     assert new.head is not None and bool((new.head.log_gain == -1.0).all())
     for name, value in first.items():
         torch.testing.assert_close(new.state_dict()[name], value)
+    # Between heads of one kind, everything means the same.
+    taught = untrained("steps")
+    with torch.no_grad():
+        new.head.log_gain.fill_(-2.0)
+        new.head.balance.log_kp.fill_(3.0)  # type: ignore[union-attr]
+        new.head.balance.stepping.log_place.fill_(1.5)  # type: ignore[union-attr]
+    copy_head(new, taught)
+    assert taught.head is not None
+    for name, value in new.head.state_dict().items():
+        torch.testing.assert_close(taught.head.state_dict()[name], value)

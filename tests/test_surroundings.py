@@ -243,7 +243,7 @@ def test_surroundings_are_restored_to_the_bit() -> None:
         (lambda: WorldObject(aside_m=(0.0, np.nan)), "aside_m"),
         (lambda: Pushes(force_n=(0.0, 1e6)), "force_n"),
         (lambda: Pushes(force_n=100.0), "force_n is 100.0, not a range"),  # type: ignore[arg-type]
-        (lambda: Pushes(body="tail"), f"no link 'tail'.*{LINKS[0]}"),
+        (lambda: Pushes(body="tail"), f"there is no link 'tail'.*{LINKS[0]}"),
         (lambda: Pushes(count=0), "count is 0"),
         (lambda: Randomisation(friction=(0.0, 1.0)), "friction"),
         (lambda: Randomisation(dropout=(0.0, 2.0)), "dropout"),

@@ -344,7 +344,7 @@ def test_feet_feel_the_ground() -> None:
         ({"difficulty": 1.5}, "difficulty is 1.5"),
         ({"direction": "left"}, "unknown direction"),
         ({"tiles": ("rough", "course")}, "unknown tile 'course'"),
-        ({"tiles": ()}, "without tiles"),
+        ({"tiles": ()}, "has no tiles"),
         ({"levels": 2.5}, "not a whole number"),
         ({"seed": "x"}, "seed is 'x'"),
     ],

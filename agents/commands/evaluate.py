@@ -124,7 +124,8 @@ def _refuse_unused(args: EvaluateArgs, options: Sequence[str]) -> None:
     plain = {field.name: field.default for field in fields(EvaluateArgs)}
     for option in options:
         if getattr(args, option) != plain[option]:
-            raise InputError(f"does not go with {args.agent}", f"--{option.replace('_', '-')}")
+            flag = f"--{option.replace('_', '-')}"
+            raise InputError(f"does not go with {args.agent}", flag, "leave it out")
     if args.height is not None and args.avatar_height is not None:
         raise InputError("does not go with --avatar-height", "--height", "give one of them")
 
@@ -203,11 +204,13 @@ def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
 
 def _scenario(args: EvaluateArgs) -> Scenario:
     """The first plain scenario of a kinematic system with the requested devices."""
-    from agents.comparison.run import devices_named, suiting
+    from agents.comparison.run import devices_named, sets_of, suiting
 
     suited = suiting(args.agent, devices_named(args.sensors))
     if not suited:
-        raise InputError(f"{args.agent} does not support {args.sensors}", "--sensors")
+        sets = ", ".join(sets_of(args.agent))
+        what = f"{args.agent} does not support {args.sensors}"
+        raise InputError(what, "--sensors", f"choose from {sets}")
     return suited[0]
 
 

@@ -101,7 +101,7 @@ def compare(args: CompareArgs) -> int:
             return INTERRUPTED
     rows = [row for row, _ in scored]
     if not rows:
-        raise InputError("has no complete row", out, "leave --finished out")
+        raise InputError("no row is complete yet", out, "leave --finished out")
     there = {row.agent for row in rows}
     context["agents"] = {name: told for name, told in context["agents"].items() if name in there}
     write(rows, context, out)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from agents.comparison.compare import at_sensor_rate
-from agents.comparison.run import Job, devices_named, reconstructed, workers
+from agents.comparison.run import Job, devices_named, reconstructed, sets_of, workers
 from agents.comparison.scenarios import scenarios
 from agents.kinematic.physics_behind import on_own_body
 from agents.kinematic.store import load_system
@@ -59,7 +59,9 @@ def estimate(args: EstimateArgs) -> None:
     devices = devices_named(args.sensors)
     suited = [s for s in scenarios(load_system(args.agent)) if s.has(devices)]
     if not suited:
-        raise InputError(f"{args.agent} does not support {args.sensors}", "--sensors")
+        sets = ", ".join(sets_of(args.agent))
+        what = f"{args.agent} does not support {args.sensors}"
+        raise InputError(what, "--sensors", f"choose from {sets}")
     check_library_path(args.out)
     motions = at_sensor_rate(load_recordings(args.motions, seed=args.seed), args.max_clips)
     jobs = [(args.agent, suited[0], motion, 0, None) for motion in motions]

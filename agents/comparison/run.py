@@ -109,6 +109,12 @@ def suiting(agent: str, devices: Sequence[str] | None) -> list[Scenario]:
     return [scenario for scenario in found if scenario.has(devices)]
 
 
+def sets_of(agent: str) -> list[str]:
+    """Names of the sensor sets of the scenarios that an agent supports."""
+    used = [scenario.devices for scenario in suiting(agent, None)]
+    return [name for name, devices in SENSOR_SETS.items() if devices in used]
+
+
 Job = tuple[str, Scenario, Motion, int, Noise | None]
 """Agent, scenario, motion, seed and fault of the devices."""
 

@@ -90,7 +90,7 @@ class AssistUse:
 
 def user_headsets(sim: BatchSim) -> tuple[np.ndarray, np.ndarray]:
     """Present world pose of the users' headsets: positions ``(n, 3)``, quaternions ``(n, 4)``."""
-    ratio, place = sim.heights / DEFAULT_HEIGHT_M, sim.placement.place
+    ratio, place = sim.user_heights / DEFAULT_HEIGHT_M, sim.placement.place
     position = moved(place, sim.reference.dev_position[sim.frame, 0] * ratio[:, None])
     position[:, 2] += sim.floor
     quat = sim.reference.dev_quat[sim.frame, 0].astype(float)

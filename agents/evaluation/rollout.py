@@ -69,7 +69,8 @@ def env_config(
     if env_id is not None:
         known = sorted(i for i in gym.registry if i.startswith("QuestSim"))
         if env_id not in known:
-            raise InputError(f"there is no environment {env_id!r}", "--env", ", ".join(known))
+            what, fix = f"there is no environment {env_id!r}", f"choose from {', '.join(known)}"
+            raise InputError(what, "--env", fix)
         options |= {"sensors": EnvConfig().sensors} | gym.spec(env_id).kwargs
     heights = None if height_m is None else (height_m, height_m)
     return config_from({**options, "heights": heights, "fixed_start": True})

@@ -183,7 +183,7 @@ def _jobs(
         label = agent + trial.suffix
         jobs.append(_Job(name, trial, label, acting, spec, list(clips), config, frames))
     if not jobs:
-        raise InputError("has no clip for these rows", motions, "choose other --rows")
+        raise InputError("no clip of these motions suits --rows", motions, "choose other rows")
     return jobs
 
 

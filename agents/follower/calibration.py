@@ -26,10 +26,11 @@ from scipy.spatial.transform import Rotation
 from agents.follower.palms import ForearmAxis, forearm_axis
 from questsim import rotations as rot
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
-from questsim.devices import DeviceFrame, DevicePose
+from questsim.devices import UNIT_TOLERANCE, DeviceFrame, DevicePose
 from questsim.errors import InputError
+from questsim.files import whole_file
 from questsim.motion.kinematics import standing_clip
-from questsim.sensors import device_poses
+from questsim.sensors import DEVICES, device_poses
 from questsim.skeleton import LINKS
 
 EYE_RATIO = 0.936
@@ -39,8 +40,9 @@ Source: Drillis & Contini, "Body Segment Parameters" (1966), as in Winter, "Biom
 Control of Human Movement", fig. 4.1. The avatar carries its headset at 0.9357.
 """
 LEAST_S, LEAST_FRAMES = 1.0, 20
+"""Shortest calibration, and fewest frames."""
 STILL_M, STILL_DEG = 0.06, 12.0
-"""Largest distance in m of a still headset from its median position."""
+"""Largest distance and angle of a still device from its median position and mean orientation."""
 FLOOR_OFF_M = 0.15
 """With a given stature: a headset further than this from its height means a floor not at z = 0."""
 POSES: dict[str, float] = {"hanging": 8.0, "a-pose": 30.0}
@@ -50,6 +52,9 @@ GRIP_STD_M, SEEN_STD_M = 0.012, 0.005
 """Standard deviations: how users hold arm and controller, and tracking noise."""
 AXIS_STD_RAD, AXIS_STD_M = np.radians(2.0), 0.003
 """Standard deviations of the axis of the forearm: direction, distance from the controller."""
+
+
+AGAIN = "calibrate again"
 
 
 @dataclass(frozen=True)
@@ -108,7 +113,9 @@ class Calibration:
 
     def save(self, path: Path) -> None:
         """Write it as JSON."""
-        path.write_text(json.dumps({"format": "questsim-calibration", **asdict(self)}, indent=1))
+        text = json.dumps({"format": "questsim-calibration", **asdict(self)}, indent=1)
+        with whole_file(path) as fresh:
+            fresh.write_text(text)
 
     @staticmethod
     def load(path: Path) -> Calibration:
@@ -118,30 +125,50 @@ class Calibration:
             InputError: it is not such a file.
         """
         try:
-            return Calibration.of(json.loads(path.read_text()))
-        except (UnicodeDecodeError, json.JSONDecodeError):
-            raise InputError("is not a calibration", path, "calibrate again") from None
+            values = json.loads(path.read_text())
+        except (ValueError, RecursionError):
+            raise InputError("is not a calibration: not JSON", path, AGAIN) from None
+        return Calibration.of(values, path)
 
     @staticmethod
-    def of(values: Mapping[str, Any]) -> Calibration:
+    def of(values: Any, where: str | Path = "calibration") -> Calibration:
         """The calibration of a JSON object.
+
+        Args:
+            values: the object, as ``save`` writes it.
+            where: its source, for messages.
 
         Raises:
             InputError: a field is missing or wrong.
         """
-        try:
-            mounts = {
-                str(name): _mount(np.array(m["offset"], float), np.array(m["turn"], float))
-                for name, m in values["mounts"].items()
-            }
-            numbers = [float(values[k]) for k in ("height_m", "floor_m", "heading_rad")]
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
-            raise InputError(f"field {error} cannot be read", "calibration") from None
-        if not np.isfinite(
-            [*numbers, *(x for m in mounts.values() for x in (*m.offset, *m.turn))]
-        ).all():
-            raise InputError("a number is not finite", "calibration")
-        return Calibration(numbers[0], numbers[1], numbers[2], mounts)
+        if not isinstance(values, dict) or not isinstance(values.get("mounts"), dict):
+            raise InputError("is not a calibration: it has no mounts", where, AGAIN)
+        height_m, floor_m, heading_rad = (
+            _numbers(values, key, 1, where)[0] for key in ("height_m", "floor_m", "heading_rad")
+        )
+        mounts = {}
+        for name, mount in values["mounts"].items():
+            if name not in DEVICES or not isinstance(mount, dict):
+                raise InputError(f"has a mount of {name!r}, which is not a device", where, AGAIN)
+            offset, turn = (
+                _numbers(mount, key, count, where) for key, count in (("offset", 3), ("turn", 4))
+            )
+            if abs(np.linalg.norm(turn) - 1.0) > UNIT_TOLERANCE:
+                raise InputError(f"turn of {name} is not a unit quaternion", where, AGAIN)
+            mounts[name] = _mount(offset, turn)
+        return Calibration(float(height_m), float(floor_m), float(heading_rad), mounts)
+
+
+def _numbers(values: Mapping[str, Any], key: str, count: int, where: str | Path) -> np.ndarray:
+    """The field ``key`` as ``(count,)`` finite numbers."""
+    try:
+        numbers = np.atleast_1d(np.asarray(values[key], float))
+    except (KeyError, TypeError, ValueError, OverflowError):
+        numbers = np.zeros(0)
+    if numbers.shape != (count,) or not np.isfinite(numbers).all():
+        what = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise InputError(f"{key} is missing or not {what}", where, AGAIN)
+    return numbers
 
 
 def calibrate(
@@ -163,7 +190,7 @@ def calibrate(
         palms: more frames, in which the user turns both palms to and fro; see ``palms``.
 
     Raises:
-        InputError: too few frames; or the user moves, looks aside or has no human stature; or the
+        InputError: too few frames; or the user moves, looks aside or is too short or tall; or the
             palms hardly turn.
     """
     if pose not in POSES:

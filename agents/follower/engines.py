@@ -45,7 +45,7 @@ from questsim.sensors import sensor_set
 from questsim.skeleton import NUM_DOFS
 
 QPOS = 7 + NUM_DOFS
-_TAKEN = 5
+_POSES = 5
 """Number of poses from which velocity and acceleration of the middle one are computed."""
 
 
@@ -58,6 +58,7 @@ class Engine(ABC):
         latency_s: delay of its interpolated states behind the newest moment.
         physics: whether the avatar is simulated and can fall.
         height_m: the avatar's stature, once it is set.
+        assist_n: bound of the assisting force in N.
     """
 
     names: tuple[str, ...]
@@ -123,7 +124,6 @@ class TorqueEngine(Engine):
     Args:
         agent: reads devices, not the full body.
         sensors: name of the sensor set; by default the one that the agent was trained with.
-        assist_n: bound of the assisting force, 0 for none.
         scene: the ground and objects.
 
     Raises:
@@ -136,7 +136,6 @@ class TorqueEngine(Engine):
         self,
         agent: Agent,
         sensors: str | None = None,
-        assist_n: float = 0.0,
         scene: Scene = PLAIN,
     ) -> None:
         needs = agent.needs
@@ -147,7 +146,6 @@ class TorqueEngine(Engine):
                 f"name a kinematic system followed by {PHYSICS}",
             )
         self._agent = agent
-        self.set_assist(assist_n)
         self._config = EnvConfig(
             sensors=sensors or needs.sensors,
             future_frames=needs.future_frames,
@@ -292,7 +290,7 @@ class PhysicsEngine(Engine):
     Args:
         system: reads devices at 60 Hz.
         tracker: reads a full-body reference, at 36 Hz.
-        sensors, assist_n: as in the other engines.
+        sensors: as of ``PoseEngine``.
         objects: on the ground before the avatar.
 
     Raises:
@@ -306,12 +304,10 @@ class PhysicsEngine(Engine):
         system: KinematicSystem,
         tracker: Agent,
         sensors: str | None = None,
-        assist_n: float = 0.0,
         objects: tuple[WorldObject, ...] = (),
     ) -> None:
         self.names = live_set(system, sensors)
         self._system, self._agent = system, tracker
-        self.set_assist(assist_n)
         needs = tracker.needs
         self._config = EnvConfig(
             sensors="H",
@@ -355,7 +351,7 @@ class PhysicsEngine(Engine):
         self._agent.reset(1)
         assert self._assist is not None
         self._assist.reset()
-        self._last = [qpos.copy() for _ in range(_TAKEN)]
+        self._last = [qpos.copy() for _ in range(_POSES)]
         still = clip_from_qpos("pose", np.array(self._last), self.height_m)
         self._sim.show_pose(still, 1, None, fill=True)
         self._start, self._blend = qpos.copy(), BEGINNING_FRAMES
@@ -396,4 +392,4 @@ class PhysicsEngine(Engine):
         common = clip.scaled(DEFAULT_HEIGHT_M)
         acceleration = 0.5 * FPS * (common.qvel[3] - common.qvel[1])
         forces = self._dynamics.at(common.qpos[2], common.qvel[2], acceleration)
-        self._sim.show_pose(clip, _TAKEN - 2, forces[6:] / self._limits)
+        self._sim.show_pose(clip, _POSES - 2, forces[6:] / self._limits)

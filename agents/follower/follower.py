@@ -27,12 +27,14 @@ from questsim.avatar_pose import AvatarPose
 from questsim.body import build_body
 from questsim.devices import DeviceFrame
 from questsim.errors import InputError
+from questsim.motion.clip import FPS
 from questsim.motion.kinematics import standing_clip
 from questsim.skeleton import NUM_LINKS
 
 LOST_M, LOST_S = 0.6, 0.3
 """An avatar whose head is this far from its user's for this long has fallen and is set up again."""
 _KEPT = 32
+"""Number of states to interpolate between: half a second at 60 Hz."""
 
 
 class Follower:
@@ -53,6 +55,7 @@ class Follower:
         calibration: the user's calibration; None before calibration.
         names: the devices that are read.
         scene: ground and objects.
+        physics: whether the avatar is simulated: it can fall, be assisted and touch objects.
         latency_s: delay of a pose behind the newest frame: the agent's window of future frames
             plus the delay of interpolation.
 
@@ -71,9 +74,11 @@ class Follower:
         objects: Sequence[WorldObject] = (),
     ) -> None:
         self.scene = Scene(terrain, tuple(objects))
-        self._engine = engine_of(agent, sensors, assist_n, self.scene)
+        self._engine = engine_of(agent, sensors, self.scene)
+        self._engine.set_assist(assist_n)
         self._carry = terrain is None
         self.names, self.latency_s = self._engine.names, self._engine.latency_s
+        self.physics = self._engine.physics
         self.calibration: Calibration | None = None
         if height_m is not None:
             self.use(Calibration(height_m))
@@ -157,7 +162,7 @@ class Follower:
         if state is None:
             return
         if engine.physics and state.headset_error_m > LOST_M:
-            self._lost_s += 1.0 / 36.0
+            self._lost_s += 1.0 / FPS
             if self._lost_s > LOST_S or not np.isfinite(state.headset_error_m):
                 self._events.append("the avatar fell: set up again")
                 self._set_up(state.time_s, self._bridge.velocity)
@@ -201,7 +206,8 @@ class Follower:
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
         back = rot.yaw_quat(np.array(-alignment.yaw))
-        things, turns = alignment.undo(state.objects[:, :3], state.objects[:, 3:])
+        floor = np.array([0.0, 0.0, self.calibration.floor_m])
+        object_position, object_quat = alignment.undo(state.objects[:, :3], state.objects[:, 3:])
         return AvatarPose(
             time_s=state.time_s,
             height_m=self._engine.height_m,
@@ -214,15 +220,14 @@ class Follower:
             assist_force=rot.quat_rotate(back, state.assist_force),
             assist_torque=rot.quat_rotate(back, state.assist_torque),
             events=events,
-            object_position=things + np.array([0.0, 0.0, self.calibration.floor_m]),
-            object_quat=turns,
+            object_position=object_position + floor,
+            object_quat=object_quat,
         )
 
 
 def engine_of(
     agent: str | Path | Agent | KinematicSystem,
     sensors: str | None,
-    assist_n: float,
     scene: Scene = PLAIN,
 ) -> Engine:
     """The engine of an agent; a name is loaded first.
@@ -233,17 +238,16 @@ def engine_of(
     if isinstance(agent, KinematicSystem):
         system, physics = agent, False
     elif not isinstance(agent, str | Path):
-        return TorqueEngine(agent, sensors, assist_n, scene)
+        return TorqueEngine(agent, sensors, scene)
     else:
         found = resolve(agent)
         if found.torques:
-            return TorqueEngine(load_agent(agent), sensors, assist_n, scene)
+            return TorqueEngine(load_agent(agent), sensors, scene)
         system, physics = load_system(found.base), found.kind != "system"
     if physics and scene.terrain is not None:
         raise InputError(f"{agent} only supports level ground", "terrain", "leave it out")
     if physics:
-        tracker = load_agent(ESTIMATE_TRACKER)
-        return PhysicsEngine(system, tracker, sensors, assist_n, scene.objects)
+        return PhysicsEngine(system, load_agent(ESTIMATE_TRACKER), sensors, scene.objects)
     if scene.objects:
         raise InputError(
             "an agent without physics cannot touch objects", "objects", "leave them out"

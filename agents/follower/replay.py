@@ -37,16 +37,17 @@ class FollowArgs:
 
     file: Annotated[Path, tyro.conf.Positional]
     """The recording: this project's .jsonl.gz, iwer's .json, a .csv with --convention, or
-    synthetic, the shipped one."""
+    synthetic for the shipped one."""
     agent: AgentName = DEFAULT_POLICY
     sensors: str | None = None
     """Sensor set, e.g. H+2C or H; by default the agent's own."""
     convention: str | None = None
     """Axes of a CSV file: openxr, steamvr, unity, unreal or questsim."""
     height: float | None = None
-    """Stature of the user in metres; by default from the calibration."""
+    """Stature of the user in metres, by default from the calibration. With it, a calibration in the
+    file is not used."""
     pose: str = "hanging"
-    """How the user stands during the calibration: hanging or a-pose."""
+    """The user's pose during the calibration: hanging or a-pose."""
     calibrate: float = CALIBRATION_S
     """Calibrate on this many seconds at the start, unless the file has a calibration; 0 for none,
     which needs --height."""
@@ -77,22 +78,43 @@ def replay(args: ReplayArgs) -> None:
         InputError: a recording, agent or option cannot be used.
     """
     if args.out is not None:
-        if args.out.suffix.lower() not in (".json", ".mp4", *MOTION_SUFFIXES):
-            known = ", ".join((".json", ".mp4", *MOTION_SUFFIXES))
-            raise InputError(f"{args.out.name} does not end in one of {known}", "--out")
-        args.out.parent.mkdir(parents=True, exist_ok=True)
-        check_writable(args.out.parent)
+        _check_out(args.out)
     track = followed(args)
     _print(stream_scores(track), track)
-    if args.out is not None and args.out.suffix.lower() == ".json":
-        write_scores(args.out, args, track)
-    elif args.out is not None and args.out.suffix.lower() in MOTION_SUFFIXES:
+    if args.out is not None:
+        _write(args.out, args, track)
+        print(f"written to {args.out}")
+
+
+def _check_out(path: Path) -> None:
+    """Refuse a file that cannot be written, before the replay."""
+    suffixes = (".json", ".mp4", *MOTION_SUFFIXES)
+    if path.suffix.lower() not in suffixes:
+        raise InputError(f"{path.name} does not end in one of {', '.join(suffixes)}", "--out")
+    if path.suffix.lower() == ".mp4":
+        from questsim.viewing.gl import find_gl, missing_gl
+
+        if find_gl() is None:
+            raise InputError(missing_gl(), "--out")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    check_writable(path.parent)
+
+
+def _write(path: Path, args: FollowArgs, track: Track) -> None:
+    """Write the scores, the motion or a film, by the file's suffix."""
+    suffix = path.suffix.lower()
+    if suffix == ".json":
+        write_scores(path, args, track)
+    elif suffix == ".mp4":
+        from questsim.viewing.films import clip_frames
+        from questsim.viewing.video import write_video
+
+        clip = performed_clip(track, args.file.name)
+        write_video(path, clip_frames(clip, 640, 480, 1), FPS)
+    else:
         from questsim.exporting import write_clip
 
-        write_clip(args.out, performed_clip(track, args.out.stem))
-        print(f"written to {args.out}")
-    elif args.out is not None:
-        _film(track, args.file.name, args.out)
+        write_clip(path, performed_clip(track, path.stem))
 
 
 def show_recording(args: ShowRecordingArgs) -> None:
@@ -130,6 +152,13 @@ def followed(args: FollowArgs, recording: Recording | None = None) -> Track:
     if args.pose not in POSES:
         raise InputError(f"is {args.pose!r}, not one of {', '.join(POSES)}", "--pose")
     recording = recording or read_recording(args.file, args.convention)
+    if recording.calibration is not None and args.height is None:
+        for option in ("pose", "calibrate"):
+            if getattr(args, option) != getattr(FollowArgs, option):
+                raise InputError(
+                    "does nothing: the recording has a calibration", f"--{option}",
+                    "leave it out, or give --height to calibrate anew",
+                )  # fmt: skip
     follower = Follower(args.agent, args.sensors, assist_n=args.assist)
     rest = calibrated(follower, recording, args.calibrate, args.height, args.pose)
     assert follower.calibration is not None
@@ -159,7 +188,7 @@ def calibrated(
     """
     frames = recording.frames
     if recording.calibration is not None and height_m is None:
-        follower.use(Calibration.of(recording.calibration))
+        follower.use(Calibration.of(recording.calibration, "calibration of the recording"))
         return frames
     if seconds <= 0.0:
         if height_m is None:
@@ -204,14 +233,3 @@ def _print(scores: dict[str, float | int | None], track: Track) -> None:
 def performed_clip(track: Track, name: str) -> Clip:
     """The avatar's motion as a clip at 36 Hz."""
     return clip_from_qpos(name, track.qpos, track.height_m)
-
-
-def _film(track: Track, name: str, path: Path) -> None:
-    from questsim.viewing.films import clip_frames
-    from questsim.viewing.gl import find_gl, missing_gl
-    from questsim.viewing.video import write_video
-
-    if find_gl() is None:
-        raise InputError(missing_gl(), "--out")
-    write_video(path, clip_frames(performed_clip(track, name), 640, 480, 1), FPS)
-    print(f"written to {path}")

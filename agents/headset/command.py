@@ -34,6 +34,7 @@ from questsim.viewing.page_server import LOOPBACK, check_address, is_loopback
 
 DEFAULT_PORT = 8085
 ASSIST_N = 100.0
+"""Default bound of the assist of agents with physics."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class LiveArgs:
     sensors: str | None = None
     """Set of devices, e.g. H+2C or H; by default the agent's own."""
     height: float | None = None
-    """Stature of the user in metres; measured by default."""
+    """Stature of the user in metres; by default measured, or from --calibration or --replay."""
     pose: str = "hanging"
     """The user's pose during the calibration: hanging or a-pose."""
     palms: bool = False
@@ -52,8 +53,9 @@ class LiveArgs:
     in the hands more precisely."""
     calibration: Path | None = None
     """File written by Calibration.save, used instead of measuring."""
-    assist: float = ASSIST_N
-    """Largest force in N that assists the avatar's balance; 0 for physics without assistance."""
+    assist: float | None = None
+    """Largest force in N that assists the avatar's balance, by default 100 for agents with physics;
+    0 for physics without assistance."""
     terrain: str | None = None
     """Ground under the avatar, e.g. rough or slope:slope_deg=6; the user's own floor is level."""
     objects: Annotated[
@@ -116,15 +118,18 @@ def live(args: LiveArgs, out: Path | None = None) -> None:
     recording = None if args.replay is None else read_recording(args.replay)
     calibration = None if args.calibration is None else Calibration.load(args.calibration)
     if calibration is None and recording is not None and recording.calibration is not None:
-        calibration = Calibration.of(recording.calibration)
+        _refuse_calibrating(args)
+        calibration = Calibration.of(recording.calibration, str(args.replay))
     terrain = None if args.terrain is None else terrain_named(args.terrain, "--terrain")
     objects = objects_named(args.objects, "--objects")
     follower = Follower(
-        args.agent, args.sensors, assist_n=args.assist, terrain=terrain, objects=objects
+        args.agent, args.sensors, assist_n=args.assist or 0.0, terrain=terrain, objects=objects
     )
+    if args.assist is None and follower.physics:
+        follower.assist_n = ASSIST_N
     with ExitStack() as stack:
-        heed_frame, count = _recorder(stack, out or args.record)
-        make = _session_maker(args, follower, calibration, heed_frame)
+        on_frame, count = _recorder(stack, out or args.record)
+        make = _session_maker(args, follower, calibration, on_frame)
         asyncio.run(_serve(args, make, recording, follower.scene))
         if count is not None:
             print(f"{count()} frames in {out or args.record}", file=sys.stderr)
@@ -134,15 +139,21 @@ def _check(args: LiveArgs) -> None:
     at_least(0, assist=args.assist)
     if args.pose not in POSES:
         raise InputError(f"is {args.pose!r}, not one of {', '.join(POSES)}", "--pose")
-    if args.calibration is not None and args.height is not None:
-        raise InputError(
-            "the calibration already contains the height", "--height", "leave one of them out"
-        )
-    if args.palms and args.calibration is not None:
-        raise InputError("does not go with --calibration", "--palms", "give one of them")
+    if args.calibration is not None:
+        _refuse_calibrating(args)
     if args.replay is not None and args.vmc_in is not None:
         raise InputError("does not go with --replay", "--vmc-in", "give one of them")
     check_address(args.host, args.port)
+
+
+def _refuse_calibrating(args: LiveArgs) -> None:
+    """Refuse the options of a calibration, since the user's is known."""
+    plain = LiveArgs()
+    for option in ("height", "pose", "palms"):
+        if getattr(args, option) != getattr(plain, option):
+            raise InputError(
+                "does nothing: the user's calibration is given", f"--{option}", "leave it out"
+            )
 
 
 def _recorder(
@@ -167,7 +178,7 @@ def _session_maker(
     args: LiveArgs,
     follower: Follower,
     calibration: Calibration | None,
-    heed_frame: Callable[[DeviceFrame], None] | None,
+    on_frame: Callable[[DeviceFrame], None] | None,
 ) -> Callable[..., LiveSession]:
     from questsim.osc.senders import VMC_PORT, VRCHAT_PORT, Target, VmcPerformer, VrchatTrackers
 
@@ -177,7 +188,7 @@ def _session_maker(
     if args.vrchat is not None:
         senders.append(VrchatTrackers(Target.of(args.vrchat, VRCHAT_PORT, "--vrchat")))
 
-    def heed_pose(pose: AvatarPose) -> None:
+    def on_pose(pose: AvatarPose) -> None:
         for sender in senders:
             sender.send(pose)
 
@@ -188,8 +199,8 @@ def _session_maker(
         pose=args.pose,
         palms=args.palms,
         calibration=calibration,
-        heed_frame=heed_frame,
-        heed_pose=heed_pose if senders else None,
+        on_frame=on_frame,
+        on_pose=on_pose if senders else None,
     )
 
 

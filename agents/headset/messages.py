@@ -11,6 +11,7 @@ import numpy as np
 
 from questsim.devices import DeviceFrame
 from questsim.errors import InputError
+from questsim.sensors import SENSOR_SETS
 
 MAX_BYTES = 4096
 """Largest message in bytes; a message of three devices has 500."""
@@ -19,7 +20,8 @@ MAX_PER_SECOND = 200.0
 MAX_FAULTS = 20
 """A client with more invalid messages is disconnected."""
 MAX_TIME_S = 1e9
-DEVICES = ("headset", "left_controller", "right_controller")
+DEVICES = SENSOR_SETS["H+2C"]
+"""Devices of a page."""
 
 
 class Allowance:

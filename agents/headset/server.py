@@ -1,4 +1,4 @@
-"""The web server of ``questsim live``: the page, the avatar, one driver and many watchers."""
+"""The web server of ``questsim live``: the page, one driver (a headset) and many watchers."""
 
 from __future__ import annotations
 
@@ -69,6 +69,8 @@ class LiveServer:
     Attributes:
         session: set this before ``start``.
         received: number of accepted frames of drivers.
+        failed: set when the session's thread has failed.
+        port: the port that it listens on.
     """
 
     def __init__(
@@ -119,9 +121,9 @@ class LiveServer:
         """Send a state to all pages; may be called from any thread."""
         text = json.dumps(state, separators=(",", ":"), allow_nan=False)
         with contextlib.suppress(RuntimeError):  # the loop has ended
-            self._loop.call_soon_threadsafe(self._spread, text, state["type"])
+            self._loop.call_soon_threadsafe(self._broadcast, text, state["type"])
 
-    def _spread(self, text: str, kind: str) -> None:
+    def _broadcast(self, text: str, kind: str) -> None:
         if kind == "failure":
             self.failed.set()
         for outbox in self._clients.values():
@@ -141,8 +143,8 @@ class LiveServer:
             raise web.HTTPForbidden(text="no origin")
         given = request.query.get("token", "").encode()
         # The script is public; everything about the user requires the token.
-        named = hmac.compare_digest(given, self._token.encode())
-        if self._token and not named and request.path != "/live.js":
+        has_token = hmac.compare_digest(given, self._token.encode())
+        if self._token and not has_token and request.path != "/live.js":
             raise web.HTTPForbidden(text="the address lacks its token")
         return await handler(request)
 
@@ -217,7 +219,7 @@ class LiveServer:
                 faults += 1  # watchers must not send messages
             else:
                 try:
-                    self._obey(read_message(message.data))
+                    self._handle(read_message(message.data))
                 except InputError as error:
                     faults += 1
                     self._clients[socket].put(json.dumps({"type": "refused", "text": str(error)}))
@@ -225,7 +227,7 @@ class LiveServer:
                 await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"too many faults")
                 return
 
-    def _obey(self, message: dict[str, Any]) -> None:
+    def _handle(self, message: dict[str, Any]) -> None:
         assert self.session is not None
         kind = message["type"]
         if kind == "frame":
@@ -247,7 +249,7 @@ class _Outbox:
 
     def __init__(self, socket: web.WebSocketResponse) -> None:
         self._socket = socket
-        self._words: list[str] = []
+        self._messages: list[str] = []
         self._pose: str | None = None
         self._news = asyncio.Event()
 
@@ -256,7 +258,7 @@ class _Outbox:
         if kind == "pose":
             self._pose = text
         else:
-            self._words = [*self._words[-31:], text]
+            self._messages = [*self._messages[-31:], text]
         self._news.set()
 
     async def run(self) -> None:
@@ -265,7 +267,7 @@ class _Outbox:
             while True:
                 await self._news.wait()
                 self._news.clear()
-                texts, self._words = self._words, []
+                texts, self._messages = self._messages, []
                 if self._pose is not None:
                     texts.append(self._pose)
                     self._pose = None

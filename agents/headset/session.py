@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import queue
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,12 +19,21 @@ from questsim.errors import InputError
 from questsim.sensors import device_poses
 
 CALIBRATION_S = 3.0
-WAITING_FRAMES = 32
-"""Largest number of frames waiting for the simulation; beyond it the oldest are dropped."""
+MOST_WAITING = 32
+"""Most frames that wait for the simulation, and most requests; beyond it the oldest is dropped.
+Frames never displace requests: a lost request would leave the session in a wrong state."""
 WAITING, CALIBRATING, FOLLOWING = "waiting", "calibrating", "following"
 STAND = "stand upright, look straight ahead, let your arms hang"
 TURN = "let your arms hang and turn both palms to the front and to the back"
-_KEPT_S = 1.0
+RECENT_S = 1.0
+"""Frames of the last second are kept, to find the one of a pose's time."""
+
+
+class _Job(NamedTuple):
+    """A call for the session's thread; None ends it."""
+
+    call: Callable[[], None] | None
+    is_frame: bool = False
 
 
 class LiveSession:
@@ -38,8 +46,8 @@ class LiveSession:
         pose: the user's pose during the calibration.
         palms: whether the user then turns the palms, which locates the controllers better.
         calibration: of the user; None to calibrate for three seconds.
-        heed_frame, heed_pose: called with every received frame, e.g. to record it, and with every
-            pose, e.g. to forward it.
+        on_frame, on_pose: called with each received frame, e.g. to record it, and with each pose,
+            e.g. to forward it.
 
     Attributes:
         taken: number of frames that the simulation has taken.
@@ -56,18 +64,19 @@ class LiveSession:
         pose: str = "hanging",
         palms: bool = False,
         calibration: Calibration | None = None,
-        heed_frame: Callable[[DeviceFrame], None] | None = None,
-        heed_pose: Callable[[AvatarPose], None] | None = None,
+        on_frame: Callable[[DeviceFrame], None] | None = None,
+        on_pose: Callable[[AvatarPose], None] | None = None,
     ) -> None:
         self._follower, self._publish = follower, publish
-        self._height_m, self._pose, self._given = height_m, pose, calibration
-        self._heed_frame, self._heed_pose = heed_frame, heed_pose
+        self._height_m, self._pose, self._calibration = height_m, pose, calibration
+        self._on_frame, self._on_pose = on_frame, on_pose
         self._palms = palms
-        self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue(WAITING_FRAMES)
+        self._jobs: deque[_Job] = deque()
+        self._news = threading.Condition()
         self._assist_n = follower.assist_n
-        self._seen: deque[DeviceFrame] = deque()
-        self._still: list[DeviceFrame] = []
-        self._said = ""
+        self._recent: deque[DeviceFrame] = deque()
+        self._calibrating: list[DeviceFrame] = []
+        self._text = ""
         self.state, self.taken, self.dropped = WAITING, 0, 0
         self.failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="live", daemon=True)
@@ -77,7 +86,7 @@ class LiveSession:
         return self
 
     def __exit__(self, *_: Any) -> None:
-        self._put(None)
+        self._put(_Job(None))
         self._thread.join()
 
     @property
@@ -88,79 +97,86 @@ class LiveSession:
 
     def push(self, frame: DeviceFrame) -> None:
         """Queue one frame of the driver; returns immediately."""
-        came = time.monotonic()
-        if self._heed_frame is not None:
-            self._heed_frame(frame)
-        self._put(lambda: self._take(frame, came))
+        received_s = time.monotonic()
+        if self._on_frame is not None:
+            self._on_frame(frame)
+        self._put(_Job(lambda: self._process(frame, received_s), is_frame=True))
 
     def begin(self) -> None:
         """A driver has connected or requests a new calibration."""
-        self._put(self._begin)
+        self._put(_Job(self._begin))
 
     def end(self) -> None:
         """The driver has disconnected."""
-        self._put(self._end)
+        self._put(_Job(self._end))
 
     def assist(self, on: bool) -> None:
         """Switch the assisting force on, up to the follower's limit, or off."""
-        self._put(lambda: setattr(self._follower, "assist_n", self._assist_n if on else 0.0))
+        self._put(_Job(lambda: self._switch_assist(on)))
 
-    def _put(self, job: Callable[[], None] | None) -> None:
-        while True:
-            try:
-                self._jobs.put_nowait(job)
-                return
-            except queue.Full:
-                try:
-                    self._jobs.get_nowait()
-                    self.dropped += 1
-                except queue.Empty:
-                    pass
+    def _put(self, job: _Job) -> None:
+        """Queue a job. If too many frames wait, the oldest is dropped; so of requests."""
+        with self._news:
+            alike = [i for i, other in enumerate(self._jobs) if other.is_frame == job.is_frame]
+            if len(alike) >= MOST_WAITING:
+                del self._jobs[alike[0]]
+                self.dropped += job.is_frame
+            self._jobs.append(job)
+            self._news.notify()
+
+    def _next_job(self) -> Callable[[], None] | None:
+        with self._news:
+            self._news.wait_for(lambda: self._jobs)
+            return self._jobs.popleft().call
 
     def _run(self) -> None:
         try:
-            while (job := self._jobs.get()) is not None:
-                job()
+            while (call := self._next_job()) is not None:
+                call()
         except BaseException as error:  # the server reports it and stops
             self.failure = error
             self._publish({"type": "failure"})
 
+    def _switch_assist(self, on: bool) -> None:
+        self._follower.assist_n = self._assist_n if on else 0.0
+        self._publish(self.status())
+
     def _begin(self) -> None:
-        self._still.clear()
-        self._seen.clear()
-        if self._given is not None:
-            self._follower.use(self._given)
+        self._calibrating.clear()
+        self._recent.clear()
+        if self._calibration is not None:
+            self._follower.use(self._calibration)
             self._follow("")
             return
         self.state = CALIBRATING
-        self._tell(STAND)
+        self._announce(STAND)
 
     def _end(self) -> None:
         self.state = WAITING
-        self._tell("no headset is connected")
+        self._announce("no headset is connected")
 
-    def _take(self, frame: DeviceFrame, came_s: float) -> None:
+    def _process(self, frame: DeviceFrame, received_s: float) -> None:
         if self.state == CALIBRATING:
             self._measure(frame)
         elif self.state == FOLLOWING:
             pose = self._follower.step(frame)
-            if self._heed_pose is not None:
-                self._heed_pose(pose)
-            self._publish(self._described(frame, pose, came_s))
+            if self._on_pose is not None:
+                self._on_pose(pose)
+            self._publish(self._described(frame, pose, received_s))
         self.taken += 1
 
     def _measure(self, frame: DeviceFrame) -> None:
-        if self._still and frame.time_s <= self._still[-1].time_s:
-            self._still.clear()
-        self._still.append(frame)
-        passed = frame.time_s - self._still[0].time_s
+        if self._calibrating and frame.time_s <= self._calibrating[-1].time_s:
+            self._calibrating.clear()
+        self._calibrating.append(frame)
+        passed = frame.time_s - self._calibrating[0].time_s
         whole = 2.0 * CALIBRATION_S if self._palms else CALIBRATION_S
         if passed < whole:
             still = passed < CALIBRATION_S
             left = int(np.ceil((CALIBRATION_S if still else whole) - passed))
-            self._tell(f"{STAND if still else TURN}: {left} s")
+            self._announce(f"{STAND if still else TURN}: {left} s")
             return
-        frames, self._still = self._still, []
+        frames, self._calibrating = self._calibrating, []
         end = frames[0].time_s + CALIBRATION_S
         still_frames = [f for f in frames if f.time_s <= end] if self._palms else frames
         palms = [f for f in frames if f.time_s > end] if self._palms else []
@@ -169,36 +185,37 @@ class LiveSession:
                 still_frames, height_m=self._height_m, pose=self._pose, palms=palms
             )
         except InputError as error:
-            self._tell(f"{error.what}; again" + (f": {error.fix}" if error.fix else ""))
+            self._announce(f"{error.what}; again" + (f": {error.fix}" if error.fix else ""))
             return
         self._follow(f"stature {known.height_m:.2f} m")
 
     def _follow(self, text: str) -> None:
         self.state = FOLLOWING
-        self._tell(text)
+        self._announce(text)
 
-    def _tell(self, text: str) -> None:
-        if text == self._said and text:
+    def _announce(self, text: str) -> None:
+        if text == self._text and text:
             return
-        self._said = text
+        self._text = text
         self._publish(self.status())
 
     def status(self) -> dict[str, Any]:
-        """State, stature and instruction for a page that connects."""
+        """State, stature, assist and instruction for a page."""
         return {
             "type": "state",
             "state": self.state,
             "height_m": self.height_m,
             "latency_s": round(self._follower.latency_s, 4),
             "assist_n": self._assist_n,
-            "text": self._said,
+            "assist_on": self._follower.assist_n > 0.0,
+            "text": self._text,
         }
 
-    def _described(self, frame: DeviceFrame, pose: AvatarPose, came_s: float) -> dict[str, Any]:
+    def _described(self, frame: DeviceFrame, pose: AvatarPose, received_s: float) -> dict[str, Any]:
         """A pose for pages: links in WebXR's axes, and the displayed figures."""
         position, quat = from_ours(pose.link_position, pose.link_quat, "openxr")
         force, _ = from_ours(pose.contact_force, np.tile([1.0, 0, 0, 0], (2, 1)), "openxr")
-        things, turns = from_ours(pose.object_position, pose.object_quat, "openxr")
+        objects = from_ours(pose.object_position, pose.object_quat, "openxr")
         assist, _ = from_ours(pose.assist_force, np.array([1.0, 0, 0, 0]), "openxr")
         return {
             "type": "pose",
@@ -208,9 +225,9 @@ class LiveSession:
             "q": rounded(quat),
             "force": rounded(force, 1),
             "assist": rounded(assist, 1),
-            "objects": rounded(np.concatenate([things, turns], axis=-1)),
+            "objects": rounded(np.concatenate(objects, axis=-1)),
             "error_cm": self._error_cm(frame, pose),
-            "step_ms": round(1000.0 * (time.monotonic() - came_s), 1),
+            "step_ms": round(1000.0 * (time.monotonic() - received_s), 1),
             "dropped": self.dropped,
             "events": list(pose.events),
         }
@@ -219,12 +236,12 @@ class LiveSession:
         """Mean distance between the avatar's devices and the user's at the time of the pose."""
         known = self._follower.calibration
         assert known is not None
-        if self._seen and frame.time_s <= self._seen[-1].time_s:
-            self._seen.clear()
-        self._seen.append(frame)
-        while self._seen[0].time_s < frame.time_s - _KEPT_S:
-            self._seen.popleft()
-        then = min(self._seen, key=lambda f: abs(f.time_s - pose.time_s))
+        if self._recent and frame.time_s <= self._recent[-1].time_s:
+            self._recent.clear()
+        self._recent.append(frame)
+        while self._recent[0].time_s < frame.time_s - RECENT_S:
+            self._recent.popleft()
+        then = min(self._recent, key=lambda f: abs(f.time_s - pose.time_s))
         names = [name for name in self._follower.names if name in then.poses]
         if not names:
             return None

@@ -92,7 +92,8 @@ def rate_at(learning: Learning, progress: float, steps: int, errors: Sequence[fl
         factor = learning.final_rate ** _plateaus(errors)
     else:
         raise InputError(
-            f"there is no schedule {learning.schedule!r}", fix="cosine, step, halving or plateau"
+            f"there is no schedule {learning.schedule!r}",
+            fix="choose cosine, step, halving or plateau",
         )
     warm = min(1.0, (steps + 1) / max(learning.warm_up, 1))
     return learning.learning_rate * factor * warm

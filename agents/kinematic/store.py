@@ -94,11 +94,12 @@ def read_system_card(folder: Path) -> dict[str, Any]:
         if card.get(field) != value:
             raise InputError(f"{field} is not {value!r}", path, "train it again")
     if card.get("agent") not in AGENTS:
-        raise InputError(f"there is no agent {card.get('agent')!r}", path)
+        what = f"agent {card.get('agent')!r} is not a known family"
+        raise InputError(what, path, f"it is one of {', '.join(AGENTS)}")
     training = card.get("training")
     trained = training.get("trained", []) if isinstance(training, dict) else None
     if not isinstance(trained, list) or not all(isinstance(name, str) for name in trained):
-        raise InputError("training is not a table whose 'trained' lists names", path)
+        raise InputError("training has no list 'trained' of names", path, "train it again")
     return card
 
 

@@ -289,7 +289,8 @@ class DemoSession:
 
     def _driver(self, name: str) -> Driver:
         if name not in self._make_driver:
-            raise InputError(f"there is no agent {name!r}", fix=", ".join(self._make_driver))
+            known = ", ".join(self._make_driver)
+            raise InputError(f"there is no agent {name!r}", fix=f"choose from {known}")
         if name not in self._drivers:
             self._drivers[name] = self._make_driver[name]()
         return self._drivers[name]

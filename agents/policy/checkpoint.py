@@ -37,6 +37,7 @@ CRITIC_FILE = "critic.safetensors"
 CRITIC = "critic."
 _LATER = ("body", "observe_proportions")
 """Needs that a description has only where they are used: earlier ones have none."""
+SAME_PRESET = "use the --preset and --set of its training"
 LARGEST = 65_536
 """Inputs or outputs of a layer."""
 
@@ -124,11 +125,11 @@ def _own_body(card: dict[str, Any], path: Path) -> OwnBody | None:
     if not isinstance(body, dict) or set(body) != fields:
         raise InputError("needs.body is not name, path and digest", path, "train it again")
     if not all(isinstance(value, str) for value in body.values()):
-        raise InputError("needs.body is not made of texts", path, "train it again")
+        raise InputError("a field of needs.body is not text", path, "train it again")
     for field in ("joints", "links"):
         names = card.get(field)
         if not isinstance(names, list) or not 0 < len(names) <= LARGEST:
-            raise InputError(f"{field} is no list of names", path, "train it again")
+            raise InputError(f"{field} is not a list of names", path, "train it again")
     return OwnBody(**body)
 
 
@@ -192,22 +193,25 @@ def check_sizes(name: str, sizes: tuple[Any, ...]) -> None:
             raise ValueError(f"{name} has {str(size)[:20]}, not 1 to {LARGEST}")
 
 
+def has_critic(folder: Path) -> bool:
+    """Whether a critic was saved with the policy of a checkpoint folder."""
+    return (folder / CRITIC_FILE).exists()
+
+
 def load_critic(folder: Path, policy: TorquePolicy) -> None:
     """Load the critic saved with a policy into ``policy``.
 
     Raises:
-        InputError: there is no critic, or it is damaged or has another shape.
+        InputError: it is damaged or has another shape.
     """
     path = folder / CRITIC_FILE
-    if not path.exists():
-        raise InputError("has no critic to continue training", folder, "name a teacher's folder")
     try:
         critic = load_file(path)
         missing, unexpected = policy.load_state_dict(critic, strict=False)
     except (SafetensorError, RuntimeError) as error:
-        raise InputError("its critic does not fit this preset's", path) from error
+        raise InputError("its critic does not fit this preset's", path, SAME_PRESET) from error
     if unexpected or any(name.startswith(CRITIC) for name in missing):
-        raise InputError("its critic does not fit this preset's", path)
+        raise InputError("its critic does not fit this preset's", path, SAME_PRESET)
 
 
 def find_policy(path_or_name: str | Path) -> Path:

@@ -47,8 +47,9 @@ class PolicyAgent:
         preset = getattr(config, "body_preset", self.needs.body_preset)
         if preset != self.needs.body_preset:
             raise InputError(
-                f"was trained with body {self.needs.body_preset!r}, the environment has {preset!r}",
+                f"was trained with body_preset {self.needs.body_preset!r}, not {preset!r}",
                 self.name,
+                "make the environment with the policy's own",
             )
         self.policy.use_layout(layout)
 

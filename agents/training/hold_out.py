@@ -25,8 +25,10 @@ def without_styles(motions: Sequence[T], hold_out: str) -> tuple[list[T], list[T
     styles = {style.strip() for style in hold_out.split(",") if style.strip()}
     unknown = styles - {motion.style for motion in motions}
     if unknown:
-        raise InputError(f"no clip has style {sorted(unknown)[0]!r}", "--hold-out")
+        known = ", ".join(sorted({motion.style for motion in motions if motion.style}))
+        what = f"no clip has style {sorted(unknown)[0]!r}"
+        raise InputError(what, "--hold-out", f"choose from {known or 'none'}")
     learnt = [motion for motion in motions if motion.style not in styles]
     if not learnt:
-        raise InputError("no clips are left to train on", "--hold-out")
+        raise InputError("no clips are left to train on", "--hold-out", "hold out fewer styles")
     return learnt, [motion for motion in motions if motion.style in styles]

@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from agents.policy.balance import OUTPUTS
-from agents.policy.checkpoint import find_policy, find_teacher, load_critic, load_policy
+from agents.policy.checkpoint import find_policy, find_teacher, load_policy
 from agents.policy.networks import TorquePolicy
 from agents.policy.policy_agent import PolicyAgent, check_body, new_policy
 from agents.policy.spec import Layout, noise_by_joint
@@ -21,10 +19,8 @@ from agents.training.learner import Learner
 from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PPOConfig, StageConfig
 from agents.training.specialists import OPTION, Teachers, load_teacher, read_specialist
+from agents.training.start_from import copy_actor, copy_head, take_critic
 from envs import QuestVecEnv
-from questsim.bodies import OwnBody
-from questsim.errors import InputError
-from questsim.skeleton import NUM_DOFS
 
 if TYPE_CHECKING:
     from agents.training.cluster import ActorPool
@@ -56,10 +52,14 @@ def make_learner(
         return _student(args, config, config.learning, env, seed, say)
     learner = make_ppo(config, config.learning, env, seed, args.threads)
     if name == "teacher" and args.start is not None:
-        _begin_with(learner.policy, args.start, env.config.body)
+        folder = find_teacher(args.start)
+        start = load_policy(folder)
+        check_body(start.name, start.needs.body, env.config.body)
+        copy_actor(start.policy, learner.policy, args.start)
+        take_critic(folder, learner.policy, config.learning, say)
     if name == "finetune":
-        start = args.start or args.out / "student"
-        copy_actor(_starting_policy(start, env), learner.policy, start)
+        student = args.start or args.out / "student"
+        copy_actor(_policy_for(student, env), learner.policy, student)
         noise = _noise(config.learning, env)
         learner.policy.log_std.data.copy_(torch.as_tensor(np.log(noise)))
     return learner
@@ -119,13 +119,9 @@ def _student(
     student = new_policy(config.policy, sparse, learning.learning_rate, hinges)
     # With several stages, --start initialises the teacher.
     if args.start is not None and args.stage == "student":
-        copy_actor(_starting_policy(args.start, env), student, args.start)
-    elif student.head is not None and teacher.policy.head is not None:
-        # The student starts from the stiffness that the teacher learnt.
-        learnt = teacher.policy.head.state_dict()
-        if teacher.policy.spec.balance == "steps":  # other laws, other bounds of the gains
-            learnt = {"log_gain": learnt["log_gain"]}
-        student.head.load_state_dict(learnt, strict=False)
+        copy_actor(_policy_for(args.start, env), student, args.start)
+    else:
+        copy_head(teacher.policy, student)
     student.log_std.data.copy_(teacher.policy.log_std.data)
     labels = _specialists(args, teacher, env, say)
     return Dagger(env, teacher, student, learning, seed, args.threads, labels)
@@ -149,63 +145,8 @@ def _specialists(
     return teachers
 
 
-def _starting_policy(where: Path, env: QuestVecEnv | ActorPool) -> TorquePolicy:
+def _policy_for(where: Path, env: QuestVecEnv | ActorPool) -> TorquePolicy:
     """A policy to train further, which fits ``env``."""
     start = load_policy(find_policy(where))
     start.bind(env)
     return start.policy
-
-
-def _begin_with(policy: TorquePolicy, teacher: Path, body: OwnBody | None) -> None:
-    """Copy the networks, critic included, and normalisers of another teacher.
-
-    A policy that imitated teachers has no critic: the new one stays, and learns first
-    (``critic_warmup_steps``).
-
-    Raises:
-        InputError: there is no such teacher, or its networks differ.
-    """
-    folder = find_teacher(teacher)
-    loaded = load_policy(folder)
-    check_body(loaded.name, loaded.needs.body, body)
-    copy_actor(loaded.policy, policy, teacher)
-    if loaded.card.get("training", {}).get("stage") != "student":
-        load_critic(folder, policy)
-
-
-def copy_actor(source: TorquePolicy, target: TorquePolicy, where: Path) -> None:
-    """Copy the networks, normaliser and gains of ``source``, without critic, to ``target``.
-
-    Args:
-        source, target: policies.
-        where: origin of the source, for messages.
-
-    Raises:
-        InputError: if their networks differ.
-    """
-    state = {k: v for k, v in source.state_dict().items() if not k.startswith("critic.")}
-    fresh = ["critic."]
-    if (source.spec.balance, target.spec.balance) == ("feet", "placement"):
-        fresh.append("head.balance.placement.")
-        _widen(state, target)
-    elif source.spec.balance != target.spec.balance:  # its gains keep their start values
-        fresh.append("head.balance.")
-        state = {k: v for k, v in state.items() if not k.startswith("head.balance.")}
-        _widen(state, target)
-    try:
-        missing, unexpected = target.load_state_dict(state, strict=False)
-        fits = not unexpected and all(name.startswith(tuple(fresh)) for name in missing)
-    except RuntimeError:  # the shapes differ
-        fits = False
-    if not fits:
-        raise InputError("its networks do not fit this preset's", where, "see --start")
-
-
-def _widen(state: dict[str, Tensor], target: TorquePolicy) -> None:
-    """Extend an actor by the outputs for the target's balance that it lacks, with zeros."""
-    outputs = NUM_DOFS + OUTPUTS.get(target.spec.balance, 0)
-    last = f"actor.layers.{len(target.actor.layers) - 1}."
-    for name in (last + "weight", last + "bias"):
-        if name in state and len(state[name]) < outputs:
-            rows = state[name].new_zeros(outputs - len(state[name]), *state[name].shape[1:])
-            state[name] = torch.cat([state[name], rows])

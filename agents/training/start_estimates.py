@@ -50,7 +50,7 @@ def estimated(estimate: Clip, known: Container[str], where: str) -> str:
     user, at, _ = estimate.name.rpartition("@")
     if not at or user not in known:
         raise InputError(
-            f"{estimate.name!r} is an estimate of none of --motions",
+            f"{estimate.name!r} is not an estimate of one of --motions",
             where,
             "name a library that questsim estimate made of them",
         )
@@ -64,7 +64,7 @@ def _checked(estimate: Clip, clip: Clip, where: str) -> Clip:
     apart = float(np.linalg.norm(common - truth, axis=-1).mean())
     if len(estimate) - len(clip) > _SPARE_FRAMES or apart > FAR_M:
         raise InputError(
-            f"{estimate.name!r} is no estimate of this motion: {len(estimate)} frames for "
+            f"{estimate.name!r} is not an estimate of this motion: {len(estimate)} frames for "
             f"{len(clip)}, {apart:.2f} m apart",
             where,
             "make it again by questsim estimate",

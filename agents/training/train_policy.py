@@ -143,21 +143,24 @@ def train_here(args: TrainArgs) -> int:
 
 
 def _refuse_unused(args: TrainArgs) -> None:
-    """Refuse ``--start`` or ``--teacher`` for a stage that does not use it.
+    """Refuse other policies that no stage of the training uses.
 
     Raises:
         InputError: naming the option.
     """
-    uses = {"teacher": ("all", "student"), "start": ("all", "teacher", "student", "finetune")}
-    for option, stages in uses.items():
-        if getattr(args, option) is not None and args.stage not in stages:
-            raise InputError(f"does not go with --stage {args.stage}", f"--{option}")
-    if args.specialists and args.stage not in uses["teacher"]:
-        raise InputError(f"does not go with --stage {args.stage}", "--specialists")
+    names = _stage_names(args, PRESETS[args.preset])
+    given = {"teacher": args.teacher, "start": args.start, "specialists": args.specialists}
+    users = {
+        "teacher": {"student"},
+        "specialists": {"student"},
+        "start": {"teacher", "student", "finetune"},
+    }
+    for option, value in given.items():
+        if value and not users[option] & set(names):
+            stage = f"--stage {args.stage}" if args.stage != "all" else f"--preset {args.preset}"
+            raise InputError(f"does not go with {stage}", f"--{option}", "leave it out")
     if args.specialists and args.workers:
         raise InputError("does not go with --workers", "--specialists", "leave one out")
-    if args.specialists and args.preset == "paper":
-        raise InputError("does not go with --preset paper: it has no student", "--specialists")
 
 
 def shipped_behind(args: TrainArgs) -> dict[str, Any]:

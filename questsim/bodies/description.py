@@ -126,7 +126,7 @@ def _mjcf(path: Path, value: Any) -> Path:
             raise InputError(f"there is no package {package!r}", path, f"pip install {package}")
         found = Path(spec.origin).parent / rest
     if not found.is_file():
-        raise InputError(f"mjcf {text!r} is no file", path, f"looked for {found}")
+        raise InputError(f"there is no file of mjcf {text!r}", path, f"looked for {found}")
     return found
 
 

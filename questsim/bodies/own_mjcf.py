@@ -66,7 +66,9 @@ def _check_joints(description: Description, model: mujoco.MjModel) -> int:
         if joint == free[0]:
             continue
         if model.jnt_type[joint] != int(mujoco.mjtJoint.mjJNT_HINGE):
-            raise InputError(f"joint {name!r} is no hinge", where, "use hinges, one for each axis")
+            raise InputError(
+                f"joint {name!r} is not a hinge", where, "use hinges, one for each axis"
+            )
         if not name:
             owner = model.body(int(model.jnt_bodyid[joint])).name
             raise InputError(f"a joint of {owner!r} has no name", where, "name every joint")
@@ -87,7 +89,9 @@ def _torque_limits(description: Description, model: mujoco.MjModel) -> dict[str,
         for name in getattr(description, field):
             if name not in hinges:
                 where = f"{description.path}, {field}"
-                raise InputError(f"the MJCF has no hinge {name!r}", where, ", ".join(hinges))
+                raise InputError(
+                    f"the MJCF has no hinge {name!r}", where, f"it has {', '.join(hinges)}"
+                )
     limits: dict[str, float] = {}
     for actuator in range(model.nu):
         limit = _actuator_limit(model, actuator)
@@ -156,7 +160,8 @@ def _set_masses(description: Description, spec: mujoco.MjSpec, model: mujoco.MjM
     for name, mass in description.masses.items():
         if name not in known:
             where = f"{description.path}, masses"
-            raise InputError(f"the MJCF has no body {name!r}", where, ", ".join(known))
+            what = f"the MJCF has no body {name!r}"
+            raise InputError(what, where, f"it has {', '.join(known)}")
         body, index = spec.body(name), model.body(name).id
         if not model.body_mass[index] > 0.0:
             raise InputError(f"{name!r} has no mass to change", f"{description.path}, masses")

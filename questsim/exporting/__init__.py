@@ -56,6 +56,7 @@ def write_motion(path: Path, motion: Motion) -> None:
     """
     kind = check_format(path.suffix, str(path))
     if kind not in ("bvh", "npz"):
-        raise InputError(f"a motion of 22 joints is not written as .{kind}", path)
+        what = f"a motion on the 22 joints cannot be written as .{kind}"
+        raise InputError(what, path, "name a .bvh or .npz file")
     with whole_file(path) as fresh:
         (write_joint_bvh if kind == "bvh" else write_amass)(fresh, motion)

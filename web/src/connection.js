@@ -1,4 +1,6 @@
 // A WebSocket to the server, opened again when it is lost.
+import { address } from "./address.js";
+
 const AGAIN_MS = 1000;
 export const BUSY = 4001;
 
@@ -11,12 +13,9 @@ export class Connection {
   }
 
   open() {
-    const address = new URL("/ws", location.href);
-    address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
-    address.searchParams.set("role", this.role);
-    const token = new URLSearchParams(location.search).get("token");
-    if (token) address.searchParams.set("token", token);
-    this.socket = new WebSocket(address);
+    const url = address("/ws", { role: this.role });
+    url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+    this.socket = new WebSocket(url);
     this.socket.onmessage = (event) => this.take(JSON.parse(event.data));
     this.socket.onclose = (event) => {
       if (this.closed) return;
@@ -31,7 +30,7 @@ export class Connection {
   }
 
   send(message) {
-    // What the network does not take now would arrive too late to be of use.
+    // A message that waits for a slow network would arrive too late to be of use.
     if (this.ready && this.socket.bufferedAmount < 65536) this.socket.send(JSON.stringify(message));
   }
 

@@ -1,4 +1,4 @@
-// What the headset reports in a frame: head, and grips or, without controllers, hands.
+// The poses that a headset reports in a frame: head and controllers, or tracked hands.
 import { Quaternion, Vector3 } from "three";
 
 const seven = ({ position: p, orientation: q }) => [p.x, p.y, p.z, q.x, q.y, q.z, q.w];
@@ -18,7 +18,7 @@ export function readFrame(time, frame, space) {
   for (const source of frame.session.inputSources) {
     const side = source.handedness;
     if (side !== "left" && side !== "right") continue;
-    // One that the cameras do not see is where the runtime's own sensors say.
+    // Of a controller that the cameras do not see, the runtime estimates the pose.
     const pose = source.hand ? fist(frame, source, space)
       : source.gripSpace && frame.getPose(source.gripSpace, space)?.transform;
     if (pose) message[`${side}_controller`] = seven(pose);

@@ -1,16 +1,17 @@
-// The avatar: sixteen meshes of the server's GLB, each put where a message says.
+// The avatar: sixteen meshes of the server's GLB, one for each link, posed by the server's messages.
 import { EqualStencilFunc, Group, Quaternion } from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
+import { address } from "./address.js";
 
 const LINKS = [
   "pelvis", "left_thigh", "left_shin", "left_foot", "right_thigh", "right_shin", "right_foot",
   "spine", "chest", "head", "left_upper_arm", "left_forearm", "left_hand",
   "right_upper_arm", "right_forearm", "right_hand",
 ];
-// The file faces +z, WebXR -z.
+// The avatar faces +z in the file, -z in WebXR.
 const HALF_TURN = new Quaternion(0, 1, 0, 0);
 
-// Draws a reflection only where the mirror's mask is, see Mirror.
+// Lets a group be drawn only where the mirror's mask is, see Mirror.
 export function onlyInGlass(group) {
   group.traverse((node) => {
     if (!node.isMesh) return;
@@ -28,13 +29,9 @@ export class Figure extends Group {
   }
 
   async load(height) {
-    const address = new URL("/avatar.glb", location.href);
-    address.searchParams.set("height", height);
-    const token = new URLSearchParams(location.search).get("token");
-    if (token) address.searchParams.set("token", token);
-    const file = await new GLTFLoader().loadAsync(address.href);
+    const file = await new GLTFLoader().loadAsync(address("/avatar.glb", { height }).href);
     const found = LINKS.map((name) => file.scene.getObjectByName(name));
-    // Every link has a pose in the world: none hangs on another.
+    // Messages have the pose of every link in the world, so no link is the child of another.
     for (const link of found) link.removeFromParent();
     this.clear();
     this.add(...found);
@@ -45,13 +42,13 @@ export class Figure extends Group {
   show(pose) {
     this.links.forEach((link, i) => {
       link.position.fromArray(pose.p, 3 * i);
-      // wxyz or xyzw: the server sends WebXR's xyzw.
+      // The server sends xyzw, as WebXR and three.js have it.
       link.quaternion.fromArray(pose.q, 4 * i).multiply(HALF_TURN);
     });
     this.visible = this.links.length > 0;
   }
 
-  // The wearer looks out of the head: it would be all that they see.
+  // The wearer's camera is inside the head, which would hide everything else.
   set headless(on) {
     const head = this.links[LINKS.indexOf("head")];
     if (head) head.visible = !on;

@@ -1,11 +1,11 @@
-// The page of `questsim live`: whoever enters VR drives the avatar, everybody else watches.
+// The page of `questsim live`: the user who enters VR drives the avatar, all others watch.
 import { PerspectiveCamera, WebGLRenderer } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { VRButton } from "three/addons/webxr/VRButton.js";
 import { Connection } from "./connection.js";
 import { readFrame } from "./devices.js";
 import { Figure } from "./figure.js";
-import { Board, Forces, Mirror, Stage, Things, loadGround, loadObjects, makeWorld } from "./world.js";
+import { Board, Forces, Mirror, Stage, WorldObjects, loadGround, loadObjects, makeWorld } from "./world.js";
 
 const element = (id) => document.getElementById(id);
 const EVENT_MS = 4000;
@@ -34,15 +34,15 @@ loadGround(scene).catch((error) => {
   element("fault").textContent = `the ground was not loaded: ${error.message}`;
 });
 const own = new Figure();
-const seen = new Figure(true);
+const mirrored = new Figure(true);
 const forces = new Forces();
 const board = new Board();
-const things = new Things();
-const seenThings = new Things(true);
-const stage = new Stage(new Mirror(seen, seenThings), board);
-scene.add(own, things, stage, forces);
+const objects = new WorldObjects();
+const mirroredObjects = new WorldObjects(true);
+const stage = new Stage(new Mirror(mirrored, mirroredObjects), board);
+scene.add(own, objects, stage, forces);
 
-const state = { text: "connecting", numbers: "", event: "", eventAt: 0, height: null, state: "" };
+const state = { text: "connecting", numbers: "", event: "", eventAt: 0, height: null };
 let connection = new Connection("watcher", take);
 let session = null;
 let drives = false;
@@ -57,25 +57,26 @@ function take(message) {
     connection = new Connection("watcher", take);
   } else if (message.type === "lost") state.text = "the connection is lost; trying again";
   else if (message.type === "failure") state.text = "the simulation failed; see the server's terminal";
-  showWords();
+  showText();
 }
 
 function showState(message) {
   state.text = message.text || (message.state === "following" ? "following" : message.state);
-  state.state = message.state;
-  element("assist").disabled = message.assist_n === 0;
+  // Only the driver may switch the assist.
+  element("assist").disabled = !drives || message.assist_n === 0;
+  element("assist").checked = message.assist_on;
   if (message.state !== "following") {
-    own.visible = seen.visible = forces.visible = false;
+    own.visible = mirrored.visible = forces.visible = false;
     state.numbers = "";
   }
   if (message.height_m && message.height_m !== state.height) {
     state.height = message.height_m;
-    loadObjects().then((objects) => {
-      for (const group of [things, seenThings]) group.build(objects);
+    loadObjects().then((parts) => {
+      for (const group of [objects, mirroredObjects]) group.build(parts);
     }).catch((error) => {
       element("fault").textContent = `the objects were not loaded: ${error.message}`;
     });
-    for (const figure of [own, seen]) figure.load(message.height_m).catch((error) => {
+    for (const figure of [own, mirrored]) figure.load(message.height_m).catch((error) => {
       element("fault").textContent = `the avatar was not loaded: ${error.message}`;
     });
   }
@@ -83,9 +84,9 @@ function showState(message) {
 
 function showPose(pose) {
   own.show(pose);
-  seen.show(pose);
-  things.show(pose.objects);
-  seenThings.show(pose.objects);
+  mirrored.show(pose);
+  objects.show(pose.objects);
+  mirroredObjects.show(pose.objects);
   own.headless = session !== null;
   const shift = stage.follow(pose.p[0], pose.p[2]);
   if (shift) {
@@ -101,15 +102,14 @@ function showPose(pose) {
     `server time ${pose.step_ms.toFixed(1)} ms`,
     `assist ${newtons.toFixed(0)} N`,
   ].join("\n");
-  window.lastPose = pose;
-  window.poses = (window.poses ?? 0) + 1;
+  window.lastPose = pose; // read by tests
   if (pose.events.length) {
     state.event = pose.events.join("; ");
     state.eventAt = performance.now();
   }
 }
 
-function showWords() {
+function showText() {
   const event = performance.now() - state.eventAt < EVENT_MS ? state.event : "";
   element("text").textContent = event || state.text;
   element("numbers").textContent = state.numbers;
@@ -118,7 +118,7 @@ function showWords() {
 
 renderer.xr.addEventListener("sessionstart", () => {
   session = renderer.xr.getSession();
-  // Quest's browser drops sockets that were opened before: a new one, as the driver.
+  // Quest's browser closes sockets that were opened before, so the driver opens a new one.
   connection.close();
   drives = true;
   connection = new Connection("driver", take);

@@ -1,9 +1,10 @@
-// The room: a floor with metres, a mirror with what stands before it, arrows, a board of numbers.
+// The room: floor, objects, mirror, arrows of forces, and a board with figures.
 import {
   ArrowHelper, BoxGeometry, CanvasTexture, Color, DirectionalLight, Group, HemisphereLight, Mesh,
   MeshBasicMaterial, MeshStandardMaterial, PlaneGeometry, RepeatWrapping,
   ReplaceStencilOp, Scene, SphereGeometry, SRGBColorSpace, Vector3,
 } from "three";
+import { address } from "./address.js";
 import { onlyInGlass } from "./figure.js";
 
 const MIRROR_Z = -2;
@@ -20,12 +21,9 @@ export function makeWorld() {
   return scene;
 }
 
-// The server's ground in place of the level floor, if it has any.
+// Replaces the level floor by the session's terrain, if it has one.
 export async function loadGround(scene) {
-  const address = new URL("/ground.json", location.href);
-  const token = new URLSearchParams(location.search).get("token");
-  if (token) address.searchParams.set("token", token);
-  const ground = await (await fetch(address)).json();
+  const ground = await (await fetch(address("/ground.json"))).json();
   if (!ground) return;
   const level = scene.getObjectByName("floor");
   const shape = new PlaneGeometry(ground.side_m, ground.side_m, ground.points - 1, ground.points - 1);
@@ -57,8 +55,8 @@ function floor() {
   return plane;
 }
 
-// The session's objects: balls and boxes of the server, put where a message says.
-export class Things extends Group {
+// The session's objects, made of balls and boxes, posed by the server's messages.
+export class WorldObjects extends Group {
   constructor(inMirror = false) {
     super();
     this.inMirror = inMirror;
@@ -67,43 +65,40 @@ export class Things extends Group {
   build(objects) {
     this.clear();
     for (const parts of objects) {
-      const thing = new Group();
+      const object = new Group();
       for (const { shape, size, place } of parts) {
         const form = shape === "ball" ? new SphereGeometry(size[0], 24, 16) : new BoxGeometry(...size);
         const part = new Mesh(form, new MeshStandardMaterial({ color: 0xd9bf4d, roughness: 0.7 }));
         part.position.set(...place);
-        thing.add(part);
+        object.add(part);
       }
-      this.add(thing);
+      this.add(object);
     }
     if (this.inMirror) onlyInGlass(this);
   }
 
   show(poses) {
-    this.children.forEach((thing, i) => {
-      thing.visible = poses.length >= 7 * i + 7;
-      if (!thing.visible) return;
-      thing.position.fromArray(poses, 7 * i);
-      thing.quaternion.fromArray(poses, 7 * i + 3);
+    this.children.forEach((object, i) => {
+      object.visible = poses.length >= 7 * i + 7;
+      if (!object.visible) return;
+      object.position.fromArray(poses, 7 * i);
+      object.quaternion.fromArray(poses, 7 * i + 3);
     });
   }
 }
 
 export async function loadObjects() {
-  const address = new URL("/objects.json", location.href);
-  const token = new URLSearchParams(location.search).get("token");
-  if (token) address.searchParams.set("token", token);
-  return (await fetch(address)).json();
+  return (await fetch(address("/objects.json"))).json();
 }
 
-// What is in the mirror is a second figure, reflected: it needs no second picture of the room, which
-// headsets have no time for, and is right in both eyes.
+// The mirror shows a second, reflected figure. Rendering the room a second time would be too slow for
+// headsets and wrong in one eye.
 export class Mirror extends Group {
-  constructor(...seen) {
+  constructor(...figures) {
     super();
     this.reflected = new Group();
     this.shifted = new Group();
-    this.shifted.add(...seen);
+    this.shifted.add(...figures);
     this.reflected.add(this.shifted);
     this.reflected.scale.z = -1;
     this.reflected.position.z = 2 * MIRROR_Z;
@@ -122,7 +117,7 @@ export class Mirror extends Group {
       new MeshBasicMaterial({ color: 0xb8d4ee, transparent: true, opacity: 0.22, depthWrite: false }),
     );
     glass.position.set(0, 1.125, MIRROR_Z);
-    // What is in the mirror is seen in its glass alone: a mask is drawn first, see Figure.
+    // A mask is drawn first, so that the reflection is visible only in the glass, see onlyInGlass.
     const mask = new Mesh(glass.geometry, new MeshBasicMaterial({
       colorWrite: false, depthWrite: false, stencilWrite: true, stencilRef: 1, stencilZPass: ReplaceStencilOp,
     }));
@@ -132,7 +127,7 @@ export class Mirror extends Group {
   }
 }
 
-// Mirror and board stand before the user, and come along when the user has walked away from them.
+// Mirror and board stand before the user, and follow a user who has walked further than this.
 const LEASH_M = 1.0;
 
 export class Stage extends Group {
@@ -142,12 +137,12 @@ export class Stage extends Group {
     this.add(mirror, board);
   }
 
-  // Moves to the user at (x, z) if they have left; returns how far it moved, or null.
+  // Moves to the user at (x, z) if they are too far away; returns the shift, or null.
   follow(x, z) {
     const shift = new Vector3(x - this.position.x, 0, z - this.position.z);
     if (shift.length() < LEASH_M) return null;
     this.position.add(shift);
-    // Figures are in the world, whose origin lies elsewhere on the stage.
+    // The figures' poses are in the world, not on the moved stage.
     this.mirror.shifted.position.set(-x, 0, -z);
     return shift;
   }
@@ -177,7 +172,7 @@ export class Forces extends Group {
   }
 }
 
-// Words for the wearer, who does not see the page: beside the mirror.
+// Text beside the mirror, for the wearer, who does not see the page.
 export class Board extends Mesh {
   constructor() {
     const canvas = document.createElement("canvas");
@@ -189,13 +184,13 @@ export class Board extends Mesh {
     this.pen = canvas.getContext("2d");
     this.position.set(1.85, 1.6, MIRROR_Z + 0.25);
     this.rotation.y = -0.45;
-    this.said = null;
+    this.shown = null;
   }
 
   show(lines) {
     const text = lines.join("\n");
-    if (text === this.said) return;
-    this.said = text;
+    if (text === this.shown) return;
+    this.shown = text;
     const { pen } = this;
     pen.fillStyle = "#1d2733";
     pen.fillRect(0, 0, 1024, 512);

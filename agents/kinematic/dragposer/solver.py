@@ -102,11 +102,8 @@ class DragPoser(KinematicSystem):
         self.iterations = module.spec.iterations if iterations is None else iterations
         self.solver = solver or module.spec.solver
         if self.iterations < 1 or self.solver not in ("newton", "adam"):
-            raise InputError(
-                f"{self.iterations} iterations of {self.solver!r}",
-                name,
-                "newton or adam, 1 or more",
-            )
+            what = f"cannot solve by {self.iterations} iterations of {self.solver!r}"
+            raise InputError(what, name, "use newton or adam, and 1 iteration or more")
         if predictor and module.predictor is None:
             raise InputError("was trained without a predictor", name, "leave predictor out")
         self.module = copy.deepcopy(module).double().eval()

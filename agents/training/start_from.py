@@ -1,0 +1,117 @@
+"""What a new policy takes over from an earlier one, decided by the weights that both hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from agents.policy.balance import OUTPUTS, Balance
+from agents.policy.checkpoint import CRITIC, SAME_PRESET, has_critic, load_critic
+from agents.policy.networks import TorqueHead, TorquePolicy
+from agents.training.presets import PPOConfig
+from questsim.errors import InputError
+
+_HEAD = "head."
+_GAINS = ("log_kp", "log_kd", "log_limit")
+"""Gains of ``Balance``, relative to its least values."""
+
+
+def copy_actor(source: TorquePolicy, target: TorquePolicy, where: Path | str) -> None:
+    """Copy the actor, its normaliser, the noise and the head of ``source``, but no critic.
+
+    Terms that only the target's head has keep their start values; so do gains that have another
+    meaning there, see ``copy_head``. The actor's outputs for such terms begin at zero.
+
+    Args:
+        source, target: policies.
+        where: origin of the source, for messages.
+
+    Raises:
+        InputError: their networks differ.
+    """
+    state = {
+        name: value
+        for name, value in source.state_dict().items()
+        if not name.startswith((CRITIC, _HEAD))
+    }
+    _widen(state, source, target)
+    try:
+        missing, unexpected = target.load_state_dict(state, strict=False)
+        fits = not unexpected and all(name.startswith((CRITIC, _HEAD)) for name in missing)
+    except RuntimeError:  # the shapes differ
+        fits = False
+    if not fits or (source.head is None) != (target.head is None):
+        raise InputError("its networks do not fit this preset's", where, SAME_PRESET)
+    copy_head(source, target)
+
+
+def copy_head(source: TorquePolicy, target: TorquePolicy) -> None:
+    """Copy the weights of the head that mean the same in both policies.
+
+    These are the springs' gains; the gains of the centre of mass if both heads have the same least
+    values, which the gains are relative to; and the laws of stepping and foot placement that both
+    have.
+    """
+    if source.head is None or target.head is None:
+        return
+    target.head.load_state_dict(_common(source.head, target.head), strict=False)
+
+
+def _common(source: TorqueHead, target: TorqueHead) -> dict[str, Tensor]:
+    theirs, ours = source.state_dict(), target.state_dict()
+    gains = {f"balance.{name}" for name in _GAINS}
+    if not _same_least(source.balance, target.balance):
+        theirs = {name: value for name, value in theirs.items() if name not in gains}
+    return {name: value for name, value in theirs.items() if name in ours}
+
+
+def _same_least(one: Balance | None, other: Balance | None) -> bool:
+    """Whether gains of both are relative to the same least values."""
+    if one is None or other is None:
+        return False
+    return (
+        torch.equal(one.least_kp, other.least_kp)
+        and torch.equal(one.least_kd, other.least_kd)
+        and one.least_limit == other.least_limit
+    )
+
+
+def _widen(state: dict[str, Tensor], source: TorquePolicy, target: TorquePolicy) -> None:
+    """Extend the actor by the outputs that only the target's balance has, with zeros."""
+    more = OUTPUTS.get(target.spec.balance, 0) - OUTPUTS.get(source.spec.balance, 0)
+    if more <= 0:
+        return
+    last = f"actor.layers.{len(source.actor.layers) - 1}."
+    for name in (last + "weight", last + "bias"):
+        rows = state[name].new_zeros(more, *state[name].shape[1:])
+        state[name] = torch.cat([state[name], rows])
+
+
+def take_critic(
+    folder: Path, policy: TorquePolicy, learning: PPOConfig, say: Callable[[str], None]
+) -> None:
+    """Load the critic that was saved with a policy, if there is one.
+
+    Without one (students and published policies have none), the new critic stays and learns alone
+    for ``critic_warmup_steps``.
+
+    Args:
+        folder: checkpoint of the earlier policy.
+        policy: the new one.
+        learning: settings of its training.
+        say: is called with a line for the user.
+
+    Raises:
+        InputError: the critic does not fit; or there is none, and the training has no warm-up.
+    """
+    if has_critic(folder):
+        load_critic(folder, policy)
+        return
+    if learning.critic_warmup_steps == 0:
+        fix = "set stages.teacher.learning.critic_warmup_steps, so that a new critic learns first"
+        raise InputError("has no critic", folder, fix)
+    steps = f"{learning.critic_warmup_steps:,}"
+    say(f"{folder} has no critic: a new one learns alone for {steps} steps")
