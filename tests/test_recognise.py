@@ -112,6 +112,25 @@ def test_left_is_left_in_a_file_whose_names_do_not_say_it(rig, style, mirror, tm
     assert "left is known from feet and knees and travel" in "".join(report.explanation)
 
 
+def test_names_of_unknown_words_give_the_sides_alone(tmp_path):
+    path = tmp_path / "a.bvh"
+    write_rig(path, RIGS["Character Creator"])
+    known = find_roles(read_bvh(path))
+    words = dict.fromkeys(re.findall(r"(?:ROOT|JOINT) CC_Base_(?:[LR]_)?(\w+)", path.read_text()))
+    number = {word: f"os{i}" for i, word in enumerate(words)}
+
+    def other(match: re.Match) -> str:
+        return f"{match[1]} {number[match[3]]}{'_' + match[2] if match[2] else ''}"
+
+    path.write_text(re.sub(r"(ROOT|JOINT) CC_Base_(?:([LR])_)?(\w+)", other, path.read_text()))
+    got = find_roles(read_bvh(path))
+    assert got.reasons["left_knee"] == "place and length; its side by name"
+    limbs = [j for j in JOINTS if j.startswith(("left", "right"))]
+    for joint in limbs:
+        side, word = known.joints[joint].removeprefix("CC_Base_").split("_")
+        assert got.joints[joint] == f"{number[word]}_{side}"
+
+
 def test_a_limb_of_many_bones_without_sides_that_never_bends_is_refused(tmp_path):
     joints = [("hips", -1, (0, 90, 0)), ("chest", 0, (0, 40, 0)), ("skull", 1, (0, 25, 0))]
     for side in (1, -1):

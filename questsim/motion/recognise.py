@@ -2,9 +2,9 @@
 
 Limbs are chains of sided joints. For each chain, every choice of thigh, shin, foot and toe (or
 collarbone, arm, forearm and hand) is scored by the words in the names and the bone lengths. The
-best chains become legs and arms; if no name says left or right, ``unsided`` finds them. The spine
-lies between the joint that joins the legs and the one that joins the arms; the neck leads from
-there to the head. Extra spine, neck and twist joints are folded into the mapped ones, whose
+best chains become legs and arms; if names do not say parts or sides, ``unsided`` finds them. The
+spine lies between the joint that joins the legs and the one that joins the arms; the neck leads
+from there to the head. Extra spine, neck and twist joints are folded into the mapped ones, whose
 positions stay the same.
 """
 
@@ -109,20 +109,41 @@ def find_roles(recording: Recording) -> Roles:
         _trunk(tree, found, recording)
         return _named(recording, found, why)
     legs, arms = (_limbs(tree, part, recording) for part in (LEG, ARM))
+    missing = [
+        f"{side} {limb}"
+        for side in ("left", "right")
+        for limb, chosen in (("leg", legs[side][0]), ("arm", arms[side][0]))
+        if not chosen
+    ]
+    if missing:
+        found, why = _by_place(recording, tree, missing[0])
+        _trunk(tree, found, recording)
+        return _named(recording, found, why)
     for side in ("left", "right"):
-        leg, arm = legs[side], arms[side]
-        for limb, (chosen, score) in (("leg", leg), ("arm", arm)):
+        for chosen, score in (legs[side], arms[side]):
             found |= {f"{side}_{role}": joint for role, joint in chosen.items()}
             reason = f"place in its chain, name and length ({score:.1f} points)"
             why |= {f"{side}_{role}": reason for role in chosen}
-            if not chosen:
-                raise InputError(
-                    f"no human skeleton is recognised: there is no {side} {limb}",
-                    recording.path,
-                    MAPPING,
-                )
     _trunk(tree, found, recording)
     return _named(recording, found, why)
+
+
+def _by_place(
+    recording: Recording, tree: _Tree, missing: str
+) -> tuple[dict[str, int], dict[str, str]]:
+    """Limbs by place and length, their sides by name or else by the front.
+
+    Raises:
+        InputError: there are no such limbs; the message says which limb is ``missing``.
+    """
+    for sides in ([name.side for name in tree.names], []):
+        try:
+            limbs = find_limbs(recording, MAPPING, sides)
+        except InputError:
+            continue
+        return dict(limbs.joints), dict.fromkeys(limbs.joints, limbs.reason)
+    what = f"no human skeleton is recognised: there is no {missing}"
+    raise InputError(what, recording.path, MAPPING)
 
 
 def _named(recording: Recording, found: dict[str, int], why: dict[str, str]) -> Roles:

@@ -1,4 +1,4 @@
-"""Finds limbs, left and right of a skeleton whose names do not say left and right.
+"""Finds limbs by place and length alone, and left and right where names do not say them.
 
 Limbs are pairs of sibling chains with equal bone lengths: the legs, and above them the arms. The
 two longest consecutive bones of a chain are thigh and shin, or upper arm and forearm. Which chain
@@ -6,6 +6,9 @@ is left follows from up and the front, and the front from three signs: where the
 the knees bend to, and where the performer travels. Two signs must agree; feet and knees must not
 contradict each other (travel may: people walk backwards). Where bones are split into several
 joints, those at which a limb never bends are left out first.
+
+Names in an unknown language or of numbers alone (``Cuisse_L``, ``Bone.01L``) may say the sides
+without the parts; then only the sides are taken from them.
 """
 
 from __future__ import annotations
@@ -60,19 +63,22 @@ class _Pair:
     length: float
 
 
-def find_limbs(recording: Recording, fix: str) -> Limbs:
-    """Legs and arms of a recording whose names do not say left and right.
+def find_limbs(recording: Recording, fix: str, sides: Sequence[str] = ()) -> Limbs:
+    """Legs and arms of a recording whose names do not say which joint is which.
 
     Args:
         recording: with the ends of leaf joints as joints.
         fix: what to do if they are not found, for the error.
+        sides: of each joint, ``"left"``, ``"right"`` or empty; if none are given, left and right
+            follow from the front.
 
     Raises:
-        InputError: there are no two legs and arms, or the front is not certain.
+        InputError: there are no two legs and arms, or their sides are not certain.
     """
 
     def refuse(why: str) -> InputError:
-        what = "no human skeleton is recognised: the joints' names do not say left and right, and "
+        named = "the parts of limbs" if sides else "left and right"
+        what = f"no human skeleton is recognised: the joints' names do not say {named}, and "
         return InputError(what + why, recording.path, fix)
 
     length = np.linalg.norm(np.median(recording.positions, axis=0), axis=-1)
@@ -88,6 +94,13 @@ def find_limbs(recording: Recording, fix: str) -> Limbs:
             raise refuse("bones of limbs are split into several joints")
     limbs = [_limb(chain, length) for chain in chains]
     legs, arms = limbs[:2], limbs[2:]
+    if sides:
+        turned = [_turned(pair, sides) for pair in (legs, arms)]
+        if None in turned:
+            raise refuse("limbs have no side")
+        joints = _sided(legs, bool(turned[0]), length, legs=True)
+        joints |= _sided(arms, bool(turned[1]), length, legs=False)
+        return Limbs(joints, "place and length; its side by name")
     fps = recording.fps * len(few.positions) / len(recording.positions)
     front = _front(position, legs, pairs[1].above, fps, length)
     vote = _vote(front)
@@ -96,13 +109,29 @@ def find_limbs(recording: Recording, fix: str) -> Limbs:
     if vote == 0.0 or abs(same) < CERTAIN:
         said = ", ".join(f"{s} {c:+.2f}" for s, c in zip(SIGNS, front, strict=True))
         raise refuse(f"the front is not certain (cosines of {said}; two must agree)")
-    joints = {}
-    for limbs, swapped in ((legs, vote < 0), (arms, vote * same < 0)):
-        for side, limb in zip(("left", "right"), limbs[::-1] if swapped else limbs, strict=True):
-            roles = _roles(limb, limbs is legs, length)
-            joints |= {f"{side}_{part}": joint for part, joint in roles.items()}
+    joints = _sided(legs, vote < 0, length, legs=True)
+    joints |= _sided(arms, vote * same < 0, length, legs=False)
     agree = [s for s, c in zip(SIGNS, front, strict=True) if c * vote > CERTAIN]
     return Limbs(joints, f"place and length; left is known from {' and '.join(agree)}")
+
+
+def _turned(pair: list[list[int]], sides: Sequence[str]) -> bool | None:
+    """Whether the second limb of a pair is the left one; None if names do not say that."""
+    first, second = ({sides[joint] for joint in limb if joint >= 0} - {""} for limb in pair)
+    if (first, second) == ({"left"}, {"right"}):
+        return False
+    return True if (first, second) == ({"right"}, {"left"}) else None
+
+
+def _sided(
+    pair: list[list[int]], turned: bool, length: np.ndarray, *, legs: bool
+) -> dict[str, int]:
+    """``left_knee`` and so on to the file's joints; ``turned`` if the first limb is the right."""
+    return {
+        f"{side}_{part}": joint
+        for side, limb in zip(("left", "right"), pair[::-1] if turned else pair, strict=True)
+        for part, joint in _roles(limb, legs, length).items()
+    }
 
 
 def _legs_and_arms(parents: Sequence[int], length: np.ndarray) -> tuple[_Pair, _Pair] | None:
