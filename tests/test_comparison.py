@@ -3,6 +3,7 @@
 import csv
 import json
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ from PIL import Image
 from agents.comparison import run as run_module
 from agents.comparison.behind import body_of
 from agents.comparison.compare import FIGURES, FILES, CompareArgs, compare, everyone, plan
-from agents.comparison.conditions import NOISES, noisy
-from agents.comparison.drawn import _over_time, predictor_over_time, predictor_pairs
+from agents.comparison.conditions import NOISES, Start, condition_of, noisy, row_name
+from agents.comparison.drawn import _over_time, compared, predictor_over_time, predictor_pairs
 from agents.comparison.plots import KINDS, kind_of
 from agents.comparison.record import Record
 from agents.comparison.report import Costs, Row, row_of, table
@@ -69,8 +70,8 @@ def test_one_command_scores_all_systems_on_the_same_frames(tmp_path, capsys):
     assert recording["jitter_100_m_s3"] > 0.0
     ik = report["rows"][0]["pooled"]
     assert ik["pos_cm"] < 1.0 and ik["ee_cm"] < 1.0
-    told = [row["mmac"] for row in report["rows"]]
-    assert told[0] is None and told[1] > 0.01 and told[4] is None  # ik; HMD; HMD, window 40
+    mmac = [row["mmac"] for row in report["rows"]]
+    assert mmac[0] is None and mmac[1] > 0.01 and mmac[4] is None  # ik; HMD; HMD, window 40
     assert report["rows"][1]["stream_kib"] > 1.0 and report["rows"][0]["stream_kib"] is None
     assert report["rows"][1]["pooled"]["mpjpe_cm"] > ik["mpjpe_cm"]
     with (out / "comparison.csv").open() as file:
@@ -91,6 +92,9 @@ def test_one_command_scores_all_systems_on_the_same_frames(tmp_path, capsys):
             "nobody: is not an agent; name .* or .*questsim, .*hmdposer.*zero",
         ),
         ({"agents": ("nobody+physics",)}, "nobody: is not a kinematic system"),
+        ({"agents": ("ik",), "starts": ("user",)}, "--starts: does nothing: no agent has physics"),
+        ({"agents": ("ik",), "windows": True}, "--windows: does nothing"),
+        ({"agents": ("ik",), "noise": ("all", "all")}, "--noise: has a value twice"),
     ],
 )
 def test_a_comparison_without_what_it_needs_is_refused(options, message, tmp_path):
@@ -104,7 +108,7 @@ def test_an_evaluation_of_nobody_is_refused():
         evaluate(EvaluateArgs(agent=""))
 
 
-def test_without_names_all_that_is_shipped_is_compared_once_and_nobody_who_is_told_the_answer():
+def test_without_names_all_that_is_shipped_is_compared_once_and_no_agent_that_observes_the_answer():
     found = everyone()
     assert {"ik", "hmdposer", "lgsik", "hmdposer+physics", "questsim"} <= set(found)
     assert not {"tracker", "demo"} & set(found) and len(set(found)) == len(found)
@@ -418,3 +422,16 @@ def test_fewer_clips_are_for_all_rows_but_streams_of_exact_signals(tmp_path):
         ("6", 2), ("6, noise: white", 1),
     ]  # fmt: skip
     assert "| ik | 6 | 2 |" in (out / "comparison.md").read_text()
+
+
+def test_rows_are_named_by_their_condition_and_read_again():
+    for start in get_args(Start):
+        assert condition_of(row_name("6", None, start)) == ("6", start)
+    assert row_name("6", "white", "standing") == "6, noise: white, from standing"
+    rows = [
+        Row("ik+physics", row_name(scenario, None, start), 0, {}, {}, None)
+        for scenario in ("4", "6")
+        for start in ("standing", "user")
+    ]
+    ((row, _),) = compared([(row, []) for row in rows])
+    assert row.scenario == "6, from standing"

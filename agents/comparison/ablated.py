@@ -185,8 +185,8 @@ class PolicyAblated:
 
 
 def _stages(cards: Any) -> dict[str, dict[str, float]]:
-    told = [card["training"] for card in cards]
-    return {each["stage"]: {n: each[n] for n in ("steps", "minutes")} for each in told}
+    records = [card["training"] for card in cards]
+    return {each["stage"]: {n: each[n] for n in ("steps", "minutes")} for each in records}
 
 
 def _contact(rewarded: dict[str, StageConfig]) -> Variant:

@@ -47,11 +47,11 @@ class Result:
 def differences(row: Row, full: Row, weighting: str) -> Figures:
     """Each figure of a row minus the full system's, if both have it."""
     got, whole = row.figures(weighting), full.figures(weighting)
-    told: Figures = {}
+    apart: Figures = {}
     for name, value in got.items():
         reference = whole.get(name)
-        told[name] = None if value is None or reference is None else value - reference
-    return told
+        apart[name] = None if value is None or reference is None else value - reference
+    return apart
 
 
 def _by_scenario(results: Sequence[Result]) -> Iterator[tuple[str, list[tuple[Result, Row]]]]:
@@ -76,8 +76,8 @@ def table(results: Sequence[Result], agent: str, weighting: str) -> str:
                 for name in names
             ]
             steps = " + ".join(f"{stage['steps']:,}" for stage in result.training.values())
-            told = [result.name, *cells, f"{row.parameters:,}", steps]
-            lines.append(f"| {' | '.join(told)} |")
+            line = [result.name, *cells, f"{row.parameters:,}", steps]
+            lines.append(f"| {' | '.join(line)} |")
         lines.append("")
     return "\n".join(lines[:-1])
 
@@ -124,8 +124,8 @@ def _rows(results: Sequence[Result]) -> Iterator[dict[str, Any]]:
         full = pairs[0][1]
         for _, row in pairs:
             apart = {weighting: differences(row, full, weighting) for weighting in WEIGHTINGS}
-            told = {key: value for key, value in vars(row).items() if key != "agent"}
-            yield {"variant": row.agent, **told, "differences": apart}
+            fields = {key: value for key, value in vars(row).items() if key != "agent"}
+            yield {"variant": row.agent, **fields, "differences": apart}
 
 
 def _write_csv(results: Sequence[Result], writer: Any) -> None:
@@ -137,9 +137,9 @@ def _write_csv(results: Sequence[Result], writer: Any) -> None:
             for weighting in WEIGHTINGS:
                 got = row.figures(weighting)
                 apart = differences(row, pairs[0][1], weighting)
-                told = [*(got.get(n) for n in names), *(apart.get(n) for n in names)]
-                told += [getattr(row, cost) for cost in COSTS]
-                writer.writerow([row.agent, scenario, weighting, *told])
+                cells = [*(got.get(n) for n in names), *(apart.get(n) for n in names)]
+                cells += [getattr(row, cost) for cost in COSTS]
+                writer.writerow([row.agent, scenario, weighting, *cells])
 
 
 def _page(results: Sequence[Result], context: dict[str, Any]) -> str:
@@ -161,8 +161,8 @@ def _page(results: Sequence[Result], context: dict[str, Any]) -> str:
     for result in results[1:]:
         how = [f"`--{name.replace('_', '-')} {value}`" for name, value in result.args.items()]
         how += [f"`--set {value}`" for value in result.set]
-        told = [f"`{name}={value}`" for name, value in result.options.items()]
-        how += [f"{option} at run time, the full system's weights" for option in told]
+        options = [f"`{name}={value}`" for name, value in result.options.items()]
+        how += [f"{option} at run time, the full system's weights" for option in options]
         lines.append(f"- `{result.name}`: {result.what}; {', '.join(how)}")
     if len(results) > 1:
         lines.append("")

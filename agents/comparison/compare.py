@@ -75,6 +75,7 @@ def compare(args: CompareArgs) -> int:
     if args.video_clips and not args.video:
         raise InputError("needs a video", "--video-clips", "add --video")
     planned, out = plan(args.agents, args.sensors), args.out
+    _refuse_unused(args, planned)
     check_writable(out)
     everything = load_recordings(args.motions, seed=args.seed)
     recordings = at_sensor_rate(everything, args.max_clips)
@@ -103,7 +104,8 @@ def compare(args: CompareArgs) -> int:
     if not rows:
         raise InputError("no row is complete yet", out, "leave --finished out")
     there = {row.agent for row in rows}
-    context["agents"] = {name: told for name, told in context["agents"].items() if name in there}
+    records = context["agents"].items()
+    context["agents"] = {name: record for name, record in records if name in there}
     write(rows, context, out)
     exact = [row for row in rows if ", noise: " not in row.scenario] or rows
     for name, plot in FIGURES.items():
@@ -122,9 +124,26 @@ def compare(args: CompareArgs) -> int:
         from agents.comparison.film import film
         from agents.comparison.worst import worst_strips
 
-        if film(args.agents or representative(planned), filmed, out, args.threads):
+        shown = args.agents or representative(planned)
+        if film(shown, filmed, out, args.threads, args.starts[0]):
             worst_strips([row for row, _ in compared(scored)], recordings, out, args.threads)
     return 0
+
+
+def _simulated(agent: str) -> bool:
+    return resolve(agent).torques or base_of(agent) is not None
+
+
+def _refuse_unused(args: CompareArgs, planned: Mapping[str, Sequence[Scenario]]) -> None:
+    """Refuse options that change nothing in the rows, and rows that are asked for twice."""
+    if args.starts != CompareArgs(out=args.out).starts and not any(map(_simulated, planned)):
+        raise InputError("does nothing: no agent has physics", "--starts", "leave it out")
+    if args.windows and not any(s.online for scenarios in planned.values() for s in scenarios):
+        what = "does nothing: no agent has the protocol with windows"
+        raise InputError(what, "--windows", "leave it out")
+    for option, values in (("starts", args.starts), ("noise", args.noise)):
+        if len(set(values)) < len(values):
+            raise InputError("has a value twice", f"--{option}", "give each once")
 
 
 def all_plans(planned: Mapping[str, Sequence[Scenario]], args: CompareArgs) -> list[Plan]:
@@ -134,8 +153,7 @@ def all_plans(planned: Mapping[str, Sequence[Scenario]], args: CompareArgs) -> l
     """
     plans = [Plan(RECORDING, Scenario("60 Hz", ()))]
     for agent, scenarios in planned.items():
-        physics = resolve(agent).torques or base_of(agent) is not None
-        starts = args.starts if physics else ()
+        starts = args.starts if _simulated(agent) else ()
         kept = agent + PHYSICS in planned
         for scenario in scenarios:
             if scenario.online and not args.windows:
@@ -182,8 +200,7 @@ def _scored(
         for row, cost, complete in zip(plan.rows, costs, there, strict=True):
             if complete:
                 found = record.of(plan.key(row), names[id(plan)])
-                told = row_of(plan.agent, row, found, cost, names[id(plan)])
-                scored.append((told, found))
+                scored.append((row_of(plan.agent, row, found, cost, names[id(plan)]), found))
     return scored
 
 
@@ -209,7 +226,7 @@ def _compute(
     estimates = Estimates()
     with Display() as display, workers(args.threads, args.workers, args.ray) as mapper:
         for number, plan in enumerate(in_turn(plans), start=1):
-            told = f"{plan.agent}: {plan.rows[0]}"
+            name = f"{plan.agent}: {plan.rows[0]}"
             steps = compute(
                 plan,
                 clips[id(plan)],
@@ -223,9 +240,9 @@ def _compute(
             for count in steps:
                 done += count
                 rate = (time.monotonic() - began) / done
-                display.show("compare", min(done / whole, 1.0), told, rate * max(whole - done, 0))
+                display.show("compare", min(done / whole, 1.0), name, rate * max(whole - done, 0))
             minutes = rate * max(whole - done, 0) / 60
-            display.say(f"{number}/{len(plans)} {told}; about {minutes:.0f} min left")
+            display.say(f"{number}/{len(plans)} {name}; about {minutes:.0f} min left")
 
 
 def in_turn(plans: Sequence[Plan]) -> list[Plan]:

@@ -109,10 +109,18 @@ def starts_of(start: Start) -> Starts | None:
     return Starts(estimate=1.0) if start == "estimate" else None
 
 
-def called(scenario: str, noise: Noise | None, start: Start = "estimate") -> str:
+_FROM: dict[Start, str] = {"user": ", from the user's state", "standing": ", from standing"}
+
+
+def row_name(scenario: str, noise: Noise | None, start: Start = "estimate") -> str:
     """Name of a row: the scenario, with the condition unless it is the usual one."""
-    told = scenario if noise is None else f"{scenario}, noise: {noise}"
-    return told if start == "estimate" else f"{told}, from {_FROM[start]}"
+    name = scenario if noise is None else f"{scenario}, noise: {noise}"
+    return name + _FROM.get(start, "")
 
 
-_FROM = {"user": "the user's state", "standing": "standing"}
+def condition_of(name: str) -> tuple[str, Start]:
+    """Scenario and start in the ``row_name`` of a row without noise."""
+    for start, words in _FROM.items():
+        if name.endswith(words):
+            return name.removesuffix(words), start
+    return name, "estimate"

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from agents.comparison.report import RECORDING, Costs, Row, row_of
-from agents.comparison.run import Job, Plan, loaded, scored, told_to
+from agents.comparison.run import Job, Plan, device_signals, loaded, scored
 from agents.comparison.scenarios import Scenario
 from agents.evaluation.follow import evaluation_sim
 from agents.evaluation.rollout import env_config
@@ -59,12 +59,12 @@ def streamed_ms(agent: str, scenario: Scenario, motions: Sequence[Motion]) -> fl
     seconds, frames = 0.0, 0
     for i, motion in enumerate(motions):
         system = loaded(agent, scenario.options)
-        sequence = told_to((agent, scenario, motion, i, None))
+        sequence = device_signals((agent, scenario, motion, i, None))
         system.reset(UserBody.of(motion), sequence.names)
         count = min(len(sequence), TIMED_FRAMES - frames)
-        told = [sequence[t] for t in range(count)]
+        part = [sequence[t] for t in range(count)]
         began = time.perf_counter()
-        for frame in told:
+        for frame in part:
             system.step(frame)
         seconds, frames = seconds + time.perf_counter() - began, frames + count
         if frames >= TIMED_FRAMES:

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from agents.comparison.conditions import condition_of
 from agents.comparison.plots import KINDS, kind_of
 from agents.comparison.report import RECORDING, Row
 from agents.comparison.summary import (
@@ -43,16 +44,22 @@ SMOOTH_BINS = 3
 
 
 def compared(scored: Sequence[Scored]) -> list[Scored]:
-    """One row of each agent: with six trackers if it has one, otherwise the first; no noise."""
+    """One row of each agent: the first one with six trackers, or simply the first; no noise."""
     found: dict[str, Scored] = {}
     for row, clips in scored:
         if row.agent == RECORDING or row.scenario.endswith(", no physics"):
             continue
         if ", noise: " in row.scenario:
             continue
-        if row.agent not in found or row.scenario == SIX_TRACKERS[0].name:
+        six = SIX_TRACKERS[0].name
+        before = found.get(row.agent)
+        if before is None or _scenario(row) == six != _scenario(before[0]):
             found[row.agent] = (row, clips)
     return list(found.values())
+
+
+def _scenario(row: Row) -> str:
+    return condition_of(row.scenario)[0]
 
 
 def _label(row: Row) -> str:

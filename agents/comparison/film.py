@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image
 
 from agents.comparison.behind import follow, shown_of
-from agents.comparison.conditions import starts_of
+from agents.comparison.conditions import Start, starts_of
 from agents.comparison.plots import KINDS
 from agents.comparison.run import reconstructed_all, suiting
 from agents.comparison.scenarios import Scenario
@@ -102,13 +102,13 @@ class FilmFigure:
     """One figure in one clip.
 
     Attributes:
-        name, told: name of the agent, and its devices in words.
+        name, devices: name of the agent, and its devices in words.
         kind: one of ``KINDS``; empty for the user.
         clip: its motion; shorter than the user's if it was lost.
     """
 
     name: str
-    told: str
+    devices: str
     kind: str
     clip: Clip
 
@@ -118,6 +118,7 @@ def film(
     motions: Sequence[Motion],
     out: Path,
     threads: int,
+    start: Start = "estimate",
 ) -> bool:
     """Write ``FILES``, or print one line saying why they could not be written.
 
@@ -128,11 +129,12 @@ def film(
         motions: at 60 Hz, shown one after the other.
         out: the folder.
         threads: physics threads.
+        start: of avatars with physics.
     """
     if not find_gl():
         print(f"video skipped: {missing_gl()}", file=sys.stderr)
         return False
-    parts = [parts_of(agent, motions, threads) for agent in agents]
+    parts = [parts_of(agent, motions, threads, start) for agent in agents]
     scenes = [
         Scene([_user(motion), *(of_clip[i] for of_clip in parts)], SIZE)
         for i, motion in enumerate(motions)
@@ -169,32 +171,35 @@ def _user(motion: Motion) -> FilmFigure:
 
 
 def parts_of(
-    agent: str, motions: Sequence[Motion], threads: int, scenario: Scenario | None = None
+    agent: str,
+    motions: Sequence[Motion],
+    threads: int,
+    start: Start = "estimate",
+    scenario: Scenario | None = None,
 ) -> list[FilmFigure]:
     """An agent's result on each motion, as the comparison computes it.
 
-    Avatars with physics start in the system's own first estimate, policies in HMD-Poser's.
-
     Args:
-        agent, motions, threads: see ``film``.
+        agent, motions, threads, start: see ``film``.
         scenario: of the agent; by default see ``shown_scenario``.
     """
     kinematic, physics, policy = KINDS
     if resolve(agent).torques:
         loaded = load_agent(agent)
         clips = [to_clip(motion) for motion in motions]
-        config = replace(env_config(loaded), starts=starts_of("estimate"))
-        rollouts = roll_out(loaded, clips, config, threads, begin_at=first_answers(clips))
-        told = _told(SENSOR_SETS[loaded.needs.sensors])
-        return [FilmFigure(agent, told, policy, performed(rollout)) for rollout in rollouts]
+        config = replace(env_config(loaded), starts=starts_of(start))
+        begin_at = first_answers(clips) if start == "estimate" else None
+        rollouts = roll_out(loaded, clips, config, threads, begin_at=begin_at)
+        devices = _in_words(SENSOR_SETS[loaded.needs.sensors])
+        return [FilmFigure(agent, devices, policy, performed(rollout)) for rollout in rollouts]
     scenario = scenario or shown_scenario(suiting(agent, None))
     base = base_of(agent) or agent
     poses = reconstructed_all([(base, scenario, motion, 0, None) for motion in motions])
-    told, pairs = _told(scenario.devices), list(zip(poses, motions, strict=True))
+    devices, pairs = _in_words(scenario.devices), list(zip(poses, motions, strict=True))
     if base_of(agent) is None:
-        return [FilmFigure(agent, told, kinematic, over_users_floor(p, m)) for p, m in pairs]
-    rollouts = follow([shown_of(p, m) for p, m in pairs], "estimate", threads)
-    return [FilmFigure(agent, told, physics, performed(rollout)) for rollout in rollouts]
+        return [FilmFigure(agent, devices, kinematic, over_users_floor(p, m)) for p, m in pairs]
+    rollouts = follow([shown_of(p, m) for p, m in pairs], start, threads)
+    return [FilmFigure(agent, devices, physics, performed(rollout)) for rollout in rollouts]
 
 
 def shown_scenario(found: Sequence[Scenario]) -> Scenario:
@@ -202,7 +207,7 @@ def shown_scenario(found: Sequence[Scenario]) -> Scenario:
     return next((scenario for scenario in found if scenario.name == "6"), found[0])
 
 
-def _told(devices: Sequence[str]) -> str:
+def _in_words(devices: Sequence[str]) -> str:
     """Devices in a few words."""
     kinds = [device.split("_")[-1] for device in devices]
     imus, trackers = kinds.count("imu"), kinds.count("tracker")
@@ -300,7 +305,7 @@ class Scene:
         for x, part, errors in zip(across, self.parts, self.errors_cm, strict=True):
             lost = frame >= len(errors)
             state = f"lost at {len(errors) / FPS:.1f} s" if lost else f"{errors[frame]:.1f} cm"
-            lines = (Path(part.name).name, part.told, state if part.kind else "")
+            lines = (Path(part.name).name, part.devices, state if part.kind else "")
             labels.append(Label(x, lines, colour_of(part.kind), lost))
         return labels
 

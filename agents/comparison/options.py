@@ -28,7 +28,7 @@ class CompareArgs:
     """Folder for tables, figures and the film. The same command goes on with what is there."""
     starts: tuple[Start, ...] = ("estimate",)
     """States in which avatars with physics begin, a row each: the first estimate of the kinematic
-    system (HMD-Poser's for policies), the user's own state, or standing."""
+    system (HMD-Poser's for policies), the user's own state, or standing. The film has the first."""
     noise: tuple[Noise, ...] = ()
     """Rows of every agent with noisy devices, too: white (5 mm, 0.02 rad), mounts (off by up to 3
     cm and 10 degrees), latency (83 ms), dropouts (up to 0.5 s), or all of these."""

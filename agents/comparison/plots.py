@@ -46,7 +46,7 @@ def plot_accuracy(rows: Sequence[Row], path: Path) -> None:
                 at = [y + 0.38 * i - 0.19 for y in range(len(rows))]
                 _bars(axis, at, [row.pooled.get(name) for row in rows], [colour] * len(rows), 0.36)
             axis.set_xlabel(label)
-            handles = [Patch(color=colour, label=told) for _, told, colour in bars]
+            handles = [Patch(color=colour, label=name) for _, name, colour in bars]
             axis.legend(
                 handles=handles,
                 loc="lower left",

@@ -45,11 +45,11 @@ class Record:
 
     def _read(self, what: dict[str, Any]) -> None:
         """Read complete lines; a last line that Ctrl-C cut off is removed."""
-        text = self.path.read_text(encoding="utf-8")
-        whole = text[: text.rfind("\n") + 1]
         try:
+            text = self.path.read_text(encoding="utf-8")
+            whole = text[: text.rfind("\n") + 1]
             lines = [json.loads(line) for line in whole.splitlines()]
-            found, entries = lines[0], lines[1:]
+            found, entries = dict(lines[0]), lines[1:]
             for entry in entries:
                 row, summary = entry["row"], Summary(**entry["summary"])
                 if entry["agent"] == self._digest(row):
@@ -78,8 +78,8 @@ class Record:
         """Store the results of one clip in one row."""
         if (row, clip) not in self._found:
             self._found[row, clip] = summary
-            told = {"row": row, "clip": clip, "agent": self._digest(row)}
-            self._write({**told, "summary": summary.to_json()})
+            entry = {"row": row, "clip": clip, "agent": self._digest(row)}
+            self._write({**entry, "summary": summary.to_json()})
 
     def missing(self, rows: Iterable[str], clips: Sequence[str]) -> list[int]:
         """Indices of the clips that at least one of the rows does not have."""

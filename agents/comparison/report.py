@@ -159,8 +159,8 @@ def table(
         ends: add the 95 % intervals of the means over all frames.
     """
     counted = len({row.clips for row in rows}) > 1
-    told = ["clips"] if counted else []
-    head = ["agent", "scenario", *told, *(LABELS[name] for name in names)]
+    clips = ["clips"] if counted else []
+    head = ["agent", "scenario", *clips, *(LABELS[name] for name in names)]
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for row in rows:
         figures = {**row.figures(weighting), **{name: getattr(row, name) for name in COSTS}}
@@ -169,8 +169,8 @@ def table(
             cells = [_spread(row, name) for name in names]
         elif ends and weighting == "pooled":
             cells = [c + _interval(row, n) for c, n in zip(cells, names, strict=True)]
-        told = [str(row.clips)] if counted else []
-        lines.append(f"| {' | '.join([row.agent, row.scenario, *told, *cells])} |")
+        clips = [str(row.clips)] if counted else []
+        lines.append(f"| {' | '.join([row.agent, row.scenario, *clips, *cells])} |")
     return "\n".join(lines)
 
 
@@ -182,10 +182,10 @@ def _cell(value: float | None) -> str:
 
 def _spread(row: Row, name: str) -> str:
     """``mean ± deviation (low to high)``, as far as there are any."""
-    told = _cell(row.pooled.get(name))
+    text = _cell(row.pooled.get(name))
     if name in row.std:
-        told += f" ± {row.std[name]:.2f}"
-    return told + _interval(row, name)
+        text += f" ± {row.std[name]:.2f}"
+    return text + _interval(row, name)
 
 
 def _interval(row: Row, name: str) -> str:
@@ -238,10 +238,10 @@ def write(rows: Sequence[Row], context: dict[str, Any], out: Path) -> None:
         writer = csv.writer(file)
         writer.writerow(["agent", "scenario", "clips", "weighting", *names, *COSTS])
         for row in rows:
-            told = [getattr(row, name) for name in COSTS]
+            costs = [getattr(row, name) for name in COSTS]
             for weighting in WEIGHTINGS:
                 values = [row.figures(weighting).get(name) for name in names]
-                writer.writerow([row.agent, row.scenario, row.clips, weighting, *values, *told])
+                writer.writerow([row.agent, row.scenario, row.clips, weighting, *values, *costs])
     data = context["data"]
     text = (
         f"# Comparison\n\n{data['clips']} clips of `{data['motions']}`, 60 frames a second. Means "

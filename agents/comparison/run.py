@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from agents.comparison.behind import Shown, follow, shown_of
-from agents.comparison.conditions import Noise, Start, called, noisy, starts_of, with_noise
+from agents.comparison.conditions import Noise, Start, noisy, row_name, starts_of, with_noise
 from agents.comparison.record import Record
 from agents.comparison.report import RECORDING
 from agents.comparison.scenarios import PAPER_NAMES, WINDOW, Scenario, faulty, scenarios
@@ -146,10 +146,10 @@ class Plan:
         """Scenarios of the rows; with physics the one without comes first."""
         name = self.scenario.name
         if not self.starts:
-            return [called(name, self.noise)]
-        found = [called(name, self.noise, start) for start in self.starts]
+            return [row_name(name, self.noise)]
+        found = [row_name(name, self.noise, start) for start in self.starts]
         if base_of(self.agent) is not None:
-            found.insert(0, called(name, self.noise) + ", no physics")
+            found.insert(0, row_name(name, self.noise) + ", no physics")
         return found
 
     def job(self, motion: Motion, seed: int) -> Job:
@@ -320,16 +320,16 @@ def reconstructed(job: Job) -> Poses:
 def reconstructed_all(jobs: Sequence[Job]) -> list[Poses]:
     """Like ``reconstructed``; all jobs are of one system, scenario and noise."""
     agent, scenario = jobs[0][:2]
-    system, told = loaded(agent, scenario.options), [told_to(job) for job in jobs]
+    system, sequences = loaded(agent, scenario.options), [device_signals(job) for job in jobs]
     bodies = [UserBody.of(job[2]) for job in jobs]
     if not scenario.online:
-        return system.predict_many(told, bodies)
+        return system.predict_many(sequences, bodies)
     assert isinstance(system, RecurrentPoser)
-    pairs = zip(told, bodies, strict=True)
+    pairs = zip(sequences, bodies, strict=True)
     return [system.predict_windows(sequence, body, WINDOW) for sequence, body in pairs]
 
 
-def told_to(job: Job) -> SensorSequence:
+def device_signals(job: Job) -> SensorSequence:
     """The device signals, with the scenario's faults and the comparison's noise."""
     _, scenario, motion, seed, noise = job
     sequence = noisy(readings(motion, scenario.devices), noise, seed)

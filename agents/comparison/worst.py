@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
+from agents.comparison.conditions import condition_of
 from agents.comparison.film import GHOST_OPACITY, FilmFigure, colour_of, look_of, parts_of
 from agents.comparison.report import Row
 from agents.comparison.run import suiting
@@ -39,13 +40,15 @@ def worst_strips(rows: Sequence[Row], motions: Sequence[Motion], out: Path, thre
     The agent is run again on that clip. Its user is the see-through figure.
 
     Args:
-        rows: with exact signals, physics from the own estimate, one for each agent.
+        rows: with exact signals, one for each agent.
         motions: the comparison's, at 60 Hz.
         out: the folder.
         threads: physics threads.
     """
     by_name = {motion.name: motion for motion in motions}
     strips = [_strip(row, by_name[row.worst], threads) for row in rows if row.worst]
+    if not strips:
+        return
     page = Image.fromarray(np.concatenate(strips))
     with whole_file(out / FILE) as path:
         reduced = page.quantize(palette=palette(page, COLOURS), dither=Image.Dither.NONE)
@@ -54,8 +57,9 @@ def worst_strips(rows: Sequence[Row], motions: Sequence[Motion], out: Path, thre
 
 
 def _strip(row: Row, motion: Motion, threads: int) -> np.ndarray:
-    found = [s for s in suiting(row.agent, None) if s.name == row.scenario]
-    (part,) = parts_of(row.agent, [motion], threads, found[0])
+    name, start = condition_of(row.scenario)
+    scenario = next(each for each in suiting(row.agent, None) if each.name == name)
+    (part,) = parts_of(row.agent, [motion], threads, start, scenario)
     user = to_clip(motion)
     frames = moments(part.clip, user)
     cameras = clip_cameras(user, TILE[0] / TILE[1], smoothing_s=0.0)
@@ -66,8 +70,8 @@ def _strip(row: Row, motion: Motion, threads: int) -> np.ndarray:
         state = f"{errors[frame]:.0f} cm" + (", lost" if lost else "")
         words: dict[Corner, str] = {"top left": f"{frame / FPS:.1f} s", "bottom left": state}
         tiles.append(caption(picture, words, alarm=lost, size=13))
-    name = f"{Path(row.agent).name}, {row.scenario}: {row.worst}, MPJPE {row.worst_cm:.1f} cm"
-    return np.concatenate([_header(name, part.kind), np.concatenate(tiles, axis=1)])
+    title = f"{Path(row.agent).name}, {row.scenario}: {row.worst}, MPJPE {row.worst_cm:.1f} cm"
+    return np.concatenate([_header(title, part.kind), np.concatenate(tiles, axis=1)])
 
 
 def moments(clip: Clip, user: Clip) -> np.ndarray:

@@ -108,7 +108,7 @@ class PoseStream:
     ) -> None:
         self._system, self._user = system, user
         self._names = system.usable(sensors)
-        self._told = readings(user.resampled(SENSOR_FPS), self._names)
+        self._frames = readings(user.resampled(SENSOR_FPS), self._names)
         self._retarget = StreamRetargeter(user, height_m)
         self.reset()
 
@@ -140,8 +140,8 @@ class PoseStream:
 
     def _feed(self) -> None:
         """Give the system the next frame; after the end, the last frame is repeated."""
-        told = self._told[min(self._fed, len(self._told) - 1)]
-        pose = self._system.step(replace(told, time_s=self._fed / SENSOR_FPS))
+        frame = self._frames[min(self._fed, len(self._frames) - 1)]
+        pose = self._system.step(replace(frame, time_s=self._fed / SENSOR_FPS))
         self._fed += 1
         late = self._fed - 1 - self._system.future_frames
         if late > self._answered:

@@ -128,10 +128,10 @@ def list_agents(args: AgentsArgs) -> None:
         print(json.dumps(entries, indent=1))
         return
     for entry in entries:
-        told = "shipped" if entry["weights"] else "not trained"
+        weights = "shipped" if entry["weights"] else "not trained"
         if not entry["parameters"]:
-            told = "needs none"
+            weights = "needs none"
         print(
             f"{entry['agent']:21} {entry['preset']:6} {entry['parameters'] / 1e6:7.2f} M  "
-            f"{told:11}  {entry['licence']:14} {', '.join(entry['sensors']):30} {entry['title']}"
+            f"{weights:11}  {entry['licence']:14} {', '.join(entry['sensors']):30} {entry['title']}"
         )

@@ -139,8 +139,8 @@ def _stages(folder: Path, training: dict[str, Any]) -> list[StagePart]:
     elif stage == "finetune":
         before.append((student := find_policy(run / "student"), _training(student)))
     earlier: list[StagePart] = []
-    for policy, told in before:
-        earlier = _joined(earlier, _stages(policy, told))
+    for policy, record in before:
+        earlier = _joined(earlier, _stages(policy, record))
     last = run / stage / "last"
     end = _training(last) if (last / CARD_FILE).exists() else training
     return [*earlier, StagePart(run, training, end["steps"], end["minutes"])]

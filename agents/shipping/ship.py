@@ -79,8 +79,8 @@ def _ship_policy(args: ShipArgs, source: Path) -> tuple[int, str]:
     size = _checked_size(source / WEIGHTS_FILE)
     training = agent.card["training"]
     metrics = [read_metrics(path, training) for path in args.metrics]
-    told = {"motions": portable(training["motions"])}
-    agent.card["training"] = training | told | provenance(source)
+    motions = {"motions": portable(training["motions"])}
+    agent.card["training"] = training | motions | provenance(source)
     licence = _checked_licence(agent.card["training"], source)
     card = model_card(args.name, agent, size, metrics)
     _write(args, source, (WEIGHTS_FILE, CRITIC_FILE), (CARD_FILE, agent.card), card)

@@ -73,8 +73,8 @@ def system_provenance(folder: Path) -> dict[str, Any]:
     words += ["--minutes", str(minutes), "--out", "runs/NAME"]
     before: dict[str, Any] = {"commands": [], "stages": [], "licences": []}
     if start := record["args"].get("start"):
-        before, called = _start_provenance(start, record.get("behind", {}).get("start"))
-        words += ["--start", called]
+        before, name = _start_provenance(start, record.get("behind", {}).get("start"))
+        words += ["--start", name]
     return {
         "commands": [*before["commands"], shlex.join(["python", "train.py", *words])],
         "stages": [*before["stages"], *stages],
@@ -94,21 +94,21 @@ def _start_provenance(start: str, shipped: dict[str, Any] | None) -> tuple[dict[
     Raises:
         InputError: the system is missing.
     """
-    told, called = shipped, f"runs/{Path(start).name}"
-    if told is None:
+    record, name = shipped, f"runs/{Path(start).name}"
+    if record is None:
         folder = find_system(start)
-        told = read_system_card(folder)["training"]
-        called = f"runs/{folder.name}"
-        if "stages" not in told:
-            told, called = system_provenance(folder), f"runs/{run_of(folder).name}"
-    *earlier, last = told["commands"]
-    words = [called if word == "runs/NAME" else word for word in shlex.split(last)]
+        record = read_system_card(folder)["training"]
+        name = f"runs/{folder.name}"
+        if "stages" not in record:
+            record, name = system_provenance(folder), f"runs/{run_of(folder).name}"
+    *earlier, last = record["commands"]
+    words = [name if word == "runs/NAME" else word for word in shlex.split(last)]
     found = {
         "commands": [*earlier, shlex.join(words)],
-        "stages": list(told["stages"]),
-        "licences": [told["licence"]],
+        "stages": list(record["stages"]),
+        "licences": [record["licence"]],
     }
-    return found, called
+    return found, name
 
 
 def system_card(
@@ -191,6 +191,6 @@ def comparison_lines(path: Path, training: Mapping[str, Any]) -> list[str]:
         found = [row["pooled"][name] for name in names]
         cells = ["-" if value is None else f"{value:.2f}" for value in found]
         behind = base_of(row["agent"]) is not None and "no physics" not in row["scenario"]
-        told = row["scenario"] + (", with physics" if behind else "")
-        lines.append(f"| {told} | {row['clips']} | {' | '.join(cells)} |")
+        scenario = row["scenario"] + (", with physics" if behind else "")
+        lines.append(f"| {scenario} | {row['clips']} | {' | '.join(cells)} |")
     return [*lines, ""]

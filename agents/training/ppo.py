@@ -291,7 +291,7 @@ class AdaptivePPO(PPO):
         """One rollout and the update after it, outside of ``learn``.
 
         Args:
-            observe: told of every environment step.
+            observe: called after every environment step.
             progress: share of the budget that is used, 0 to 1.
 
         Returns:

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import get_args
 
-from agents.comparison.conditions import NOISES, Start, called
+from agents.comparison.conditions import NOISES, Start, row_name
 from agents.comparison.report import COSTS, LABELS, RECORDING, TABLES, Row, table
 from agents.resolve import base_of
 from agents.shipping.cards import SOURCE
@@ -97,7 +97,7 @@ def noise(rows: Sequence[Row]) -> str:
     for name in NOISE_NAMES:
         lines = _table(["agent", "scenario", "exact", *NOISES])
         for row in chosen:
-            same = [row, *(there.get((row.agent, called(row.scenario, n))) for n in NOISES)]
+            same = [row, *(there.get((row.agent, row_name(row.scenario, n))) for n in NOISES)]
             cells = [_value(each, name) for each in same]
             if any(cell != "-" for cell in cells):
                 lines.append(_line([row.agent, row.scenario, *cells]))
@@ -113,7 +113,7 @@ def starts(rows: Sequence[Row]) -> str:
     head = [f"{LABELS[name]}, {kind}" for name in names for kind in kinds]
     lines = _table(["agent", "scenario", "clips", *head])
     for row in usual(rows):
-        same = [there.get((row.agent, called(row.scenario, None, kind))) for kind in kinds]
+        same = [there.get((row.agent, row_name(row.scenario, None, kind))) for kind in kinds]
         if sum(each is not None for each in same) > 1 and row.pooled.get("success_percent"):
             cells = [_value(each, name) for name in names for each in same]
             lines.append(_line([row.agent, row.scenario, str(row.clips), *cells]))
