@@ -178,11 +178,11 @@ def test_who_is_lost_leaves_the_picture_and_its_ghost_goes_on_alone():
     np.testing.assert_allclose(film.poses(5)[4][:3], film.poses(5)[0][:3] + film.offsets[2])
 
 
-def test_agents_are_told_apart_by_kind_and_by_what_they_read():
+def test_agents_are_labelled_by_kind_and_devices():
     ik, behind, demo = (parts_of(name, [MOTION], 1)[0] for name in ("ik", "ik+physics", "demo"))
-    assert (ik.kind, ik.told) == ("kinematic", "6 trackers")
-    assert (behind.kind, behind.told) == ("with physics behind it", "6 trackers")
-    assert (demo.kind, demo.told) == ("policy", "headset + controllers")
+    assert (ik.kind, ik.devices) == ("kinematic", "6 trackers")
+    assert (behind.kind, behind.devices) == ("with physics behind it", "6 trackers")
+    assert (demo.kind, demo.devices) == ("policy", "headset + controllers")
     user = to_clip(MOTION)
     assert len(ik.clip) == len(user)
     assert mpjpe_cm(ik.clip.link_position, user.link_position).mean() < 1.0
