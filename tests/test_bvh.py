@@ -218,6 +218,8 @@ def _line(text: str, start: str, new: str) -> str:
 
 BROKEN: dict[str, tuple[Callable[[str], str], str]] = {
     "empty": (lambda t: " \n", "is empty"),
+    "git lfs": (lambda t: "version https://git-lfs.github.com/spec/v1\noid", "run 'git lfs pull'"),
+    "web page": (lambda t: "\n<!DOCTYPE html><html>", "is a web page, not the file"),
     "no bvh": (lambda t: "hello\n" + t, "line 1: HIERARCHY expected"),
     "no motion": (lambda t: t[: t.index("MOTION")], "no MOTION block"),
     "truncated frames": (lambda t: "\n".join(t.splitlines()[:-3]), "ends after 22 of 25 frames"),

@@ -14,6 +14,12 @@ from questsim.errors import InputError
 AGAIN = "download or export the file again"
 MAX_FILE_BYTES = 512 << 20
 """Larger files are rejected. 512 MiB holds over half an hour of 75 joints at 120 Hz."""
+NOT_THE_FILE = {
+    b"version https://git-lfs": ("is a Git LFS pointer, not the file", "run 'git lfs pull'"),
+    b"<!doctype html": ("is a web page, not the file", AGAIN),
+    b"<html": ("is a web page, not the file", AGAIN),
+}
+"""What a download may bring instead of a motion file: its beginning, what it is, what to do."""
 MIN_FPS, MAX_FPS = 10.0, 1000.0
 """Frame rates outside this range are file errors, e.g. a rate in place of the frame time."""
 MAX_LENGTH = 1e6
@@ -59,8 +65,12 @@ def read_bytes(path: Path) -> bytes:
         raise InputError("no such file", path) from None
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", path) from None
-    if not data.strip():
+    begin = data[:1024].lstrip().lower()
+    if not begin and not data.strip():
         raise InputError("is empty", path, AGAIN)
+    for beginning, (what, fix) in NOT_THE_FILE.items():
+        if begin.startswith(beginning):
+            raise InputError(what, path, fix)
     return data
 
 
