@@ -15,7 +15,6 @@ from questsim.body import Body
 from questsim.body_proportions import PARTS, Proportions, drawn_proportions
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
-from questsim.motion.reproportion import with_proportions
 
 MOST_DRAWN = 8
 """At most this many different proportions are drawn for a batch."""
@@ -35,6 +34,8 @@ def on_their_bodies(clips: Sequence[Clip], config: EnvConfig, count: int, seed: 
     """
     if config.proportions == 0.0:
         return list(clips)
+    from questsim.motion.reproportion import with_proportions  # late: few tasks draw proportions
+
     for clip in clips:
         if clip.proportions is not None:
             what = "the clip has its performer's proportions, so none can be drawn"

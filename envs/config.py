@@ -16,7 +16,7 @@ from envs.starts import Starts
 from envs.terrain import Terrain
 from questsim.bodies import OwnBody
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M, PRESETS
-from questsim.errors import InputError
+from questsim.errors import InputError, value_text
 from questsim.reward import RewardConfig
 from questsim.sensors import DEVICES, SensorNoise, sensor_set
 
@@ -168,20 +168,26 @@ def _number(value: Any) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
-def _form(value: Any, *, good: bool, name: str, takes: str) -> None:
-    if not good:
-        short = f"of the type {type(value).__name__}"
-        if value is None or isinstance(value, bool | Real | str):
-            short = repr(value)[:80]
-        raise InputError(f"{name} is {short}; it takes {takes}", "EnvConfig")
+def check_count(name: str, value: Any) -> None:
+    """Reject what is not a whole number from 1 on.
+
+    Raises:
+        InputError: with the name of the argument.
+    """
+    if not _whole(value) or value < 1:
+        raise InputError(f"is {value_text(value)}; it takes a whole number from 1 on", name)
 
 
 def _check_forms(config: EnvConfig) -> None:
     """Reject a field of the wrong type, with its name and the expected type."""
 
-    def check(name: str, takes: str, good: Callable[[Any], bool]) -> None:
+    def check(
+        name: str, takes: str, good: Callable[[Any], bool], plainly: str | None = None
+    ) -> None:
         value = getattr(config, name)
-        _form(value, good=good(value), name=name, takes=takes)
+        if not good(value):
+            fix = plainly and f"gym.make also takes {plainly}"
+            raise InputError(f"{name} is {value_text(value)}; it takes {takes}", "EnvConfig", fix)
 
     for name in (
         "privileged", "fixed_start", "self_collision", "height_scan", "observe_proportions",
@@ -204,18 +210,21 @@ def _check_forms(config: EnvConfig) -> None:
         "whole numbers from 0 on",
         lambda v: isinstance(v, tuple) and all(_whole(k) and k >= 0 for k in v),
     )
-    check("reward", "a RewardConfig", lambda v: isinstance(v, RewardConfig))
-    for name, kind in (
-        ("noise", SensorNoise),
-        ("terrain", Terrain),
-        ("pushes", Pushes),
-        ("randomisation", Randomisation),
-        ("starts", Starts),
-        ("body", OwnBody),
+    mapping = "a mapping of its fields"
+    check("reward", "a RewardConfig", lambda v: isinstance(v, RewardConfig), mapping)
+    for name, kind, plainly in (
+        ("noise", SensorNoise, mapping),
+        ("terrain", Terrain, "its name with options, such as 'rough:seed=3', or " + mapping),
+        ("pushes", Pushes, "the least and the greatest force in newtons, or " + mapping),
+        ("randomisation", Randomisation, mapping),
+        ("starts", Starts, mapping),
+        ("body", OwnBody, "a TOML file, or the name of an included body"),
     ):
-        check(name, f"None or {kind.__name__}", lambda v, k=kind: v is None or isinstance(v, k))
+        good = lambda v, k=kind: v is None or isinstance(v, k)  # noqa: E731 -- one line for all
+        check(name, f"None or {kind.__name__}", good, plainly)
     check(
         "objects",
         "a tuple of WorldObject",
         lambda v: isinstance(v, tuple) and all(isinstance(thing, WorldObject) for thing in v),
+        "names, such as 'ball', or mappings of their fields",
     )

@@ -14,7 +14,7 @@ import numpy as np
 from envs.actions import checked_actions
 from envs.avatar import avatar_of
 from envs.bodies import Bodies, models_of, on_their_bodies
-from envs.config import EnvConfig
+from envs.config import EnvConfig, check_count
 from envs.episode_random import Seeds, Streams
 from envs.footed_clip import footed_clip, joined
 from envs.initial_states import InitialStates, estimates_of
@@ -22,14 +22,13 @@ from envs.kernel_arguments import Episodes, State
 from envs.kernel_runner import KernelRunner
 from envs.moment import moment_of
 from envs.physics import Physics
-from envs.reference import Reference, check_shown
+from envs.reference import Reference, check_are_clips, check_shown
 from envs.sampler import Sampler
 from envs.surroundings import Surroundings
 from questsim import rotations as rot
 from questsim.bodies import clip_for
 from questsim.errors import InputError
 from questsim.motion.clip import FPS, Clip
-from questsim.motion.reproportion import with_proportions
 from questsim.reward import COMPILED, Moment, extra_terms
 
 _CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL.value)
@@ -81,15 +80,15 @@ class BatchSim:
     ) -> None:
         self.config = config or EnvConfig()
         self.num_envs = n = len(clips) if num_envs is None else num_envs
-        if min(n, num_threads) < 1 and clips:
-            raise InputError(
-                f"num_envs is {n} and num_threads {num_threads}, not at least 1", "BatchSim"
-            )
+        if clips:  # without any, `Reference.of` says so
+            check_count("num_envs", n)
+        check_count("num_threads", num_threads)
         if self.config.fixed_start and n > len(clips):
             raise InputError(f"num_envs is {n}, more than the {len(clips)} clips", "fixed_start")
         clips = on_their_bodies(clips, self.config, n, seed)
         self.reference = seen = Reference.of(clips, self.config, seed)
         if shown is not None:
+            check_are_clips(shown, "shown")
             shown = on_their_bodies(shown, self.config, n, seed)
             check_shown(clips, shown)
             seen = Reference.of(shown, self.config, seed)
@@ -191,6 +190,8 @@ class BatchSim:
             clip: the clip that it plays. The reference is this clip, scaled, moved to its place,
                 with its feet adapted to the ground there.
         """
+        from questsim.motion.reproportion import with_proportions  # late: for rendering and scores
+
         own, place = self.config.body, self.placement
         if own is None:
             scaled = clip.scaled(float(self.user_heights[i]))

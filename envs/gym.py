@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -16,8 +16,8 @@ from envs.info import info_of
 from envs.layout import observation_size
 from envs.options import Motions, clips_of, config_of
 from envs.pictures import Pictures, Window, check_render_mode
-from envs.starts_asked import asked_start, entropy, seeds_of
-from questsim.motion.clip import FPS
+from envs.starts_asked import asked_start, check_begun, entropy, seeds_of
+from questsim.motion.clip import FPS, Clip
 
 
 def spaces_of(sim: BatchSim) -> tuple[gym.spaces.Box, gym.spaces.Box]:
@@ -48,6 +48,7 @@ class QuestEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         seed: random seed. With None each environment draws different episodes until a reset gives
             a seed; what is drawn once per simulation, such as a randomised body, then has seed 0.
         shown: clips that the agent observes, see ``BatchSim``.
+        begin_at: estimates in which episodes may begin, see ``BatchSim``.
         **options: fields of ``EnvConfig``, also in the plain forms of ``envs.options``.
 
     Raises:
@@ -66,19 +67,21 @@ class QuestEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         render_mode: str | None = None,
         seed: int | None = None,
         shown: Sequence[Any] | None = None,
+        begin_at: Mapping[str, Clip] | None = None,
         **options: Any,
     ) -> None:
-        EzPickle.__init__(self, motions, config, render_mode, seed, shown, **options)
+        EzPickle.__init__(self, motions, config, render_mode, seed, shown, begin_at, **options)
         check_render_mode(render_mode, self.metadata["render_modes"])
         (given,) = seeds_of(seed, 1)
         self.sim = BatchSim(
-            clips_of(motions), config_of(config, options), 1, given or 0, shown=shown
+            clips_of(motions), config_of(config, options), 1, given or 0, 1, shown, begin_at
         )
         self.observation_space, self.action_space = spaces_of(self.sim)
         self.render_mode = render_mode
         # Evaluations (fixed_start) are the same every time.
         self._unseeded = given is None and not self.sim.config.fixed_start
         self._pictures, self._window = Pictures(self.sim), None
+        self._begun = False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -98,6 +101,7 @@ class QuestEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
             self.sim.seed([given])
         clip, frame = (None, 0) if start is None else start
         self.sim.reset(clip=clip, frame=frame)
+        self._begun = True
         self._show()
         return self.sim.observation[0].copy(), info_of(self.sim, fresh=True)
 
@@ -105,8 +109,10 @@ class QuestEnv(gym.Env[np.ndarray, np.ndarray], EzPickle):
         """Apply torques ``(33,)`` in [-1, 1] of the joints' limits for 1/36 s.
 
         Raises:
-            InputError: an action of another shape, or not finite; nothing has moved then.
+            InputError: no episode has begun, or an action of another shape, or not finite; nothing
+                has moved then.
         """
+        check_begun(self._begun)
         sim = self.sim
         sim.step(checked_actions(action, sim.ctrl.shape[1:])[None])
         if sim.fell[0] or sim.ended[0]:

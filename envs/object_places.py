@@ -12,8 +12,6 @@ from envs.placement import Placement, moved
 from envs.reference import Reference
 from questsim.heightfield import HeightField
 from questsim.motion.clip import FPS
-from questsim.motion.synthesis.seat import SEAT_BEHIND_M
-from questsim.motion.synthesis.synthetic import SEATED
 
 CLEARANCE_M = 0.55
 """Least distance of an object from the avatar's pelvis at the start of an episode."""
@@ -126,6 +124,8 @@ class Objects(Drawing):
         travel: np.ndarray,
     ) -> None:
         """Write place and direction of seated clips' chairs to ``spot``, ``travel`` ``(m, 2)``."""
+        from questsim.motion.synthesis.seat import SEAT_BEHIND_M  # late: only for chairs
+
         if self._seats is None:
             self._seats = _seat_rows(reference)
         rows = self._seats[clips]
@@ -151,6 +151,8 @@ class Objects(Drawing):
 
 def _seat_rows(reference: Reference) -> np.ndarray:
     """For each clip the row ``(C,)`` in which the user sits; -1 for clips that are not seated."""
+    from questsim.motion.synthesis.synthetic import SEATED
+
     rows = np.full(len(reference.names), -1)
     for clip, kind in enumerate(reference.kinds):
         if kind in SEATED:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from envs.pushes import check_range
+from envs.pushes import check_number, check_range
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
 from questsim.objects import ObjectShape
@@ -75,8 +75,8 @@ class WorldObject:
             )
         check_range("ahead_s", self.ahead_s, 0.0, 60.0, "objects")
         check_range("aside_m", self.aside_m, -5.0, 5.0, "objects")
-        if self.mass_kg is not None and not 0.01 <= self.mass_kg <= 200.0:
-            raise InputError(f"mass_kg is {self.mass_kg:g}, not 0.01 to 200", "objects")
+        if self.mass_kg is not None:
+            check_number("mass_kg", self.mass_kg, 0.01, 200.0, "objects")
 
 
 def objects_named(names: Sequence[str], where: str = "objects") -> tuple[WorldObject, ...]:

@@ -14,9 +14,10 @@ from envs.config import EnvConfig
 from envs.objects import WorldObject
 from envs.pushes import Pushes
 from envs.randomisation import Randomisation
+from envs.starts import Starts
 from envs.terrain import Terrain, terrain_named
 from questsim.bodies import read_body
-from questsim.errors import InputError
+from questsim.errors import InputError, value_text
 from questsim.motion.clip import Clip
 from questsim.reward import RewardConfig
 from questsim.sensors import SensorNoise
@@ -84,7 +85,8 @@ def config_from(options: Mapping[str, Any]) -> EnvConfig:
     For example ``{"terrain": "rough:seed=3", "objects": ("chair",), "heights": 1.7,
     "pushes": (0, 100), "reward": {"contact": 0.5}}``. A terrain or an object is given by its name;
     one height applies to all; two numbers are the range of the pushes' force in newtons; a mapping
-    contains the fields that differ from their defaults.
+    contains the fields that differ from their defaults. One number is a range of that number alone.
+    NumPy's numbers and arrays are taken as Python's.
 
     Raises:
         InputError: an unknown option, or an invalid value.
@@ -93,7 +95,7 @@ def config_from(options: Mapping[str, Any]) -> EnvConfig:
     for name in options:
         if name not in known:
             raise UnknownOptionError(name, known)
-    return EnvConfig(**{name: _PLAIN.get(name, _same)(v) for name, v in options.items()})
+    return EnvConfig(**{name: _PLAIN.get(name, _same)(_python(v)) for name, v in options.items()})
 
 
 def config_of(config: Any, options: Mapping[str, Any]) -> EnvConfig:
@@ -128,6 +130,15 @@ def _same(value: Any) -> Any:
     return value
 
 
+def _python(value: Any) -> Any:
+    """A NumPy number or array as Python's; anything else unchanged."""
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else value
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 def _terrain(value: Any) -> Any:
     if isinstance(value, str):
         return terrain_named(value)
@@ -149,13 +160,15 @@ def _objects(value: Any) -> Any:
 
 
 def _pushes(value: Any) -> Any:
+    if _number(value):
+        return Pushes(force_n=(value, value))
     if isinstance(value, Sequence) and not isinstance(value, str):
         return Pushes(force_n=tuple(value))  # type: ignore[arg-type]  # checked there
     return _fields_of(Pushes, value, "pushes")
 
 
 def _heights(value: Any) -> Any:
-    if isinstance(value, int | float) and not isinstance(value, bool):
+    if _number(value):
         return (float(value), float(value))
     return tuple(value) if isinstance(value, list) else value
 
@@ -174,12 +187,22 @@ def _fields_of(kind: type[_T], value: Any, where: str) -> Any:
     for name in value:
         if name not in known:
             raise InputError(_unknown(name, known), where, f"it has {', '.join(known)}")
+    values: dict[str, Any] = {}
     for field in fields(kind):  # type: ignore[arg-type]
-        number = isinstance(field.default, int | float) and not isinstance(field.default, bool)
-        given = value.get(field.name, 0.0)
-        if number and not (isinstance(given, int | float) and np.isfinite(given)):
+        given = _python(value.get(field.name, field.default))
+        if _number(field.default) and not (_number(given) and np.isfinite(given)):
             raise InputError(f"is {_shown(given)}, not a number", f"{where} {field.name}")
-    return kind(**{name: tuple(v) if isinstance(v, list) else v for name, v in value.items()})
+        if field.name in value:
+            values[field.name] = _ranged(given, field.default)
+    return kind(**values)
+
+
+def _ranged(value: Any, default: Any) -> Any:
+    """A list as a tuple; where a range is wanted, one number as the range of that number alone."""
+    if isinstance(value, list):
+        return tuple(value)
+    pair = isinstance(default, tuple) and len(default) == 2
+    return (value, value) if pair and _number(value) else value
 
 
 _PLAIN: dict[str, Callable[[Any], Any]] = {
@@ -192,6 +215,7 @@ _PLAIN: dict[str, Callable[[Any], Any]] = {
     "reward": lambda value: _fields_of(RewardConfig, value, "reward"),
     "noise": lambda value: _fields_of(SensorNoise, value, "noise"),
     "randomisation": lambda value: _fields_of(Randomisation, value, "randomisation"),
+    "starts": lambda value: _fields_of(Starts, value, "starts"),
 }
 
 
@@ -201,11 +225,4 @@ def _unknown(name: Any, known: Sequence[str]) -> str:
 
 
 def _shown(value: Any) -> str:
-    """A short text of a value for an error message; only the type of arrays and clips."""
-    if isinstance(value, Terrain):
-        return f"the terrain {value.kind!r}"
-    plain = value is None or isinstance(value, bool | int | float | str)
-    if plain or (isinstance(value, tuple | list | dict) and len(repr(value)) <= 80):
-        text = repr(value)
-        return text if len(text) <= 80 else text[:77] + "..."
-    return f"of the type {type(value).__name__}"
+    return f"the terrain {value.kind!r}" if isinstance(value, Terrain) else value_text(value)

@@ -66,7 +66,8 @@ class Randomisation:
             ("recentre_rad", 0.0, np.pi),
             ("recentre_s", 0.0, 3600.0),
         ):
-            check_range(name, getattr(self, name), least, most, "randomisation")
+            whole = name.endswith("_frames")
+            check_range(name, getattr(self, name), least, most, "randomisation", whole=whole)
 
     @property
     def of_bodies(self) -> bool:

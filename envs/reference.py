@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,10 +13,8 @@ from envs.avatar import Avatar, avatar_of
 from envs.config import EnvConfig
 from envs.footsteps import Footsteps, footsteps_of
 from envs.kernel_arguments import ReferencePoses, ReferenceRows
-from questsim.bodies.torques import own_torques
-from questsim.errors import InputError
+from questsim.errors import InputError, value_text
 from questsim.motion.clip import Clip
-from questsim.motion.inverse_dynamics import reference_torques
 from questsim.sensors import device_poses, sensor_set
 
 _SAME_HEIGHT_M = 0.002
@@ -111,6 +110,19 @@ class Reference:
         )
 
 
+def check_are_clips(clips: Any, where: str) -> None:
+    """Reject what is not a sequence of clips.
+
+    Raises:
+        InputError: with the name of the argument.
+    """
+    if not isinstance(clips, Sequence) or isinstance(clips, str):
+        raise InputError(f"is {value_text(clips)}; it takes a list of clips", where)
+    for number, clip in enumerate(clips):
+        if not isinstance(clip, Clip):
+            raise InputError(f"is {value_text(clip)}, not a Clip", f"{where}[{number}]")
+
+
 def check_shown(clips: Sequence[Clip], shown: Sequence[Clip]) -> None:
     """Check that each clip can be observed instead of the one at its place in ``clips``.
 
@@ -118,7 +130,7 @@ def check_shown(clips: Sequence[Clip], shown: Sequence[Clip]) -> None:
         InputError: a clip of another length, stature or proportions, or another number of clips.
     """
     if len(clips) != len(shown):
-        raise InputError(f"shown has {len(shown)} clips, motions have {len(clips)}", "shown")
+        raise InputError(f"has {len(shown)} clips, motions have {len(clips)}", "shown")
     for clip, other in zip(clips, shown, strict=True):
         if clip.proportions != other.proportions:
             what = "is shown for a clip of other proportions"
@@ -135,7 +147,10 @@ def check_shown(clips: Sequence[Clip], shown: Sequence[Clip]) -> None:
 def _torques(avatar: Avatar, clips: Sequence[Clip], config: EnvConfig) -> np.ndarray:
     if not config.privileged:
         return np.zeros((0, len(avatar.dofs)), np.float32)
+    # Imported late: only teachers need them, and they import an optimiser.
     if avatar.own is not None:
+        from questsim.bodies.torques import own_torques
+
         return own_torques(avatar.own, clips)
     return _kept_torques(clips, config.body_preset)
 
@@ -153,6 +168,9 @@ def _kept_torques(clips: Sequence[Clip], preset: str) -> np.ndarray:
         if sum(map(len, _KEPT.values())) > _MOST_FRAMES:
             _KEPT.clear()
             missing = dict(zip(keys, clips, strict=True))
+        # Imported late: only teachers need it, and it imports an optimiser.
+        from questsim.motion.inverse_dynamics import reference_torques
+
         rows = reference_torques(list(missing.values()), preset)
         ends = np.cumsum([len(clip) for clip in missing.values()])
         _KEPT.update(zip(missing, np.split(rows, ends[:-1]), strict=True))

@@ -18,7 +18,8 @@ from envs.core import BatchSim
 from envs.gym import spaces_of
 from envs.options import Motions, clips_of, config_of
 from envs.pictures import Pictures, check_render_mode
-from envs.starts_asked import asked_start, entropy, seeds_of
+from envs.starts_asked import asked_start, check_begun, entropy, seeds_of
+from questsim.errors import InputError
 from questsim.motion.clip import Clip
 
 
@@ -75,7 +76,7 @@ class QuestVecEnv(VecEnv, EzPickle):
         self._length = np.zeros(self.sim.num_envs, np.int64)
         self._terms = np.zeros_like(self.sim.reward_terms)
         self._began = time.perf_counter()
-        self._restored = False
+        self._begun, self._restored = False, False
 
     def __getattr__(self, name: str) -> Any:
         """Forward other attributes to the simulation: layout, link_positions, reward_terms, ..."""
@@ -107,12 +108,34 @@ class QuestVecEnv(VecEnv, EzPickle):
             clips, self.sim.config, self.num_envs, seed, self._num_threads, begin_at=self._begin_at
         )
         self.sim.close()
-        self.clips, self.sim, self._pictures, self._restored = (
-            list(clips),
-            sim,
-            Pictures(sim),
-            False,
-        )
+        self.clips, self.sim, self._pictures = list(clips), sim, Pictures(sim)
+        self._begun, self._restored = False, False
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Set the seeds of the next ``reset``: environment ``i`` gets ``seed + i``.
+
+        Raises:
+            InputError: the seed is no whole number from 0 on.
+        """
+        seeds_of(seed, 1)
+        return super().seed(seed)
+
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Set the options of the next ``reset``: for all, or a list with one for each environment.
+
+        Raises:
+            InputError: neither a dict nor a list with one for each environment.
+        """
+        if options is not None and not isinstance(options, dict):
+            if not isinstance(options, list):
+                what = (
+                    f"is of the type {type(options).__name__}, neither a dict nor a list of dicts"
+                )
+                raise InputError(what, "options")
+            if len(options) != self.num_envs:
+                what = f"has {len(options)} entries for {self.num_envs} simulations"
+                raise InputError(what, "options")
+        super().set_options(options)
 
     def reset(self) -> np.ndarray:
         """Begin an episode in every environment; observations ``(n, size)``.
@@ -122,7 +145,10 @@ class QuestVecEnv(VecEnv, EzPickle):
         if self._restored:
             self._restored = False
             return self.sim.observation.copy()
-        starts = [asked_start(self.sim.reference, each or None) for each in self._options]
+        starts = [
+            asked_start(self.sim.reference, each or None, f"options[{i}]")
+            for i, each in enumerate(self._options)
+        ]
         seeds = seeds_of(self._seeds, self.num_envs)
         if self._unseeded and None in seeds:
             self.sim.seed(entropy())
@@ -136,6 +162,7 @@ class QuestVecEnv(VecEnv, EzPickle):
             if start is not None:
                 self.sim.reset(np.array([i]), *start)
         self._return[:], self._length[:], self._terms[:] = 0.0, 0, 0.0
+        self._begun = True
         return self.sim.observation.copy()
 
     def step(
@@ -155,6 +182,7 @@ class QuestVecEnv(VecEnv, EzPickle):
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Step; see the class for what infos hold."""
+        check_begun(self._begun)
         sim = self.sim
         self._advance()
         self._return += sim.reward
@@ -211,7 +239,7 @@ class QuestVecEnv(VecEnv, EzPickle):
         self._reset_seeds()
         self._return[:], self._length[:] = state["returns"], state["lengths"]
         self._terms[:] = state["terms"]
-        self._restored = True
+        self._begun, self._restored = True, True
 
     def get_images(self) -> Sequence[np.ndarray | None]:
         """An image ``(480, 640, 3)`` uint8 of each avatar; None without a render mode."""

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from envs.avatar import Avatar
 from envs.episode_random import Drawing, EpisodeRandom
-from envs.pushes import check_range
+from envs.pushes import check_number
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
@@ -57,7 +57,7 @@ class Starts:
 
     def __post_init__(self) -> None:
         for name in ("standing", "still", "disturbed", "estimate"):
-            check_range("share", (0.0, getattr(self, name)), 0.0, 1.0, f"starts.{name}")
+            check_number(name, getattr(self, name), 0.0, 1.0, "starts")
         if self.total > 1.0:
             raise InputError(f"the shares add up to {self.total:g}", "starts", "at most 1")
         for name, most in (
@@ -67,7 +67,7 @@ class Starts:
             ("lift_m", 0.5),
             ("joints_rad", 1.0),
         ):
-            check_range(name, (0.0, getattr(self, name)), 0.0, most, f"starts.{name}")
+            check_number(name, getattr(self, name), 0.0, most, "starts")
 
     @property
     def total(self) -> float:

@@ -141,6 +141,16 @@ def seeds_of(seed: Any, count: int) -> list[int | None]:
     return [None if one is None else int(one) for one in seed]
 
 
+def check_begun(begun: bool) -> None:
+    """Reject a step before the first ``reset``.
+
+    Raises:
+        InputError: no episode has begun.
+    """
+    if not begun:
+        raise InputError("no episode has begun", "step", "call reset before the first step")
+
+
 def entropy() -> int:
     """A random 63-bit seed of the operating system."""
     return int(np.random.SeedSequence().generate_state(1, np.uint64)[0] >> np.uint64(1))

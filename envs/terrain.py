@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from envs.terrain_kinds import SHAPES, Shape
-from questsim.errors import InputError
+from questsim.errors import InputError, value_text
 from questsim.extensions import load_extensions, same_source
 from questsim.heightfield import HeightField
 
@@ -88,6 +88,9 @@ class Terrain:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        if not isinstance(self.tiles, tuple) or not all(isinstance(t, str) for t in self.tiles):
+            what = f"tiles is {value_text(self.tiles)}; it takes a tuple of names"
+            raise InputError(what, "terrain")
         _find_shapes(self.kind, *(tile.partition(":")[0] for tile in self.tiles))
         for what, value, known in (
             ("kind", self.kind, (*SHAPES, COURSE)),

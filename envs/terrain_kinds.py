@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 if TYPE_CHECKING:
     from envs.terrain import Terrain
@@ -87,6 +86,8 @@ def _lattice(
     x: np.ndarray, y: np.ndarray, spacing: float, order: int, rng: np.random.Generator
 ) -> np.ndarray:
     """Uniform random numbers in [-1, 1] on a square lattice, interpolated."""
+    from scipy.ndimage import map_coordinates  # late: a plane needs none
+
     column, row = (x - x.min()) / spacing, (y - y.min()) / spacing
     shape = (int(np.ceil(row.max())) + 2, int(np.ceil(column.max())) + 2)
     values = rng.uniform(-1.0, 1.0, shape)

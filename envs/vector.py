@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,15 +11,22 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from envs.actions import checked_actions
-from envs.config import EnvConfig
+from envs.config import EnvConfig, check_count
 from envs.core import BatchSim
 from envs.gym import spaces_of
 from envs.info import info_arrays, masked
 from envs.options import Motions, clips_of, config_of
 from envs.pictures import Pictures, check_render_mode
-from envs.starts_asked import asked_start, entropy, reset_mask, seeds_of, split_options
+from envs.starts_asked import (
+    asked_start,
+    check_begun,
+    entropy,
+    reset_mask,
+    seeds_of,
+    split_options,
+)
 from questsim.errors import InputError
-from questsim.motion.clip import FPS
+from questsim.motion.clip import FPS, Clip
 
 
 class QuestVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray], EzPickle):
@@ -36,7 +43,7 @@ class QuestVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray], EzPickle):
 
     Args:
         num_envs: simulations.
-        motions, config, shown, **options: as of ``QuestEnv``.
+        motions, config, shown, begin_at, **options: as of ``QuestEnv``.
         seed: random seed; with None each environment draws different episodes until a reset gives
             a seed.
         num_threads: of physics; results do not depend on it.
@@ -63,17 +70,19 @@ class QuestVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray], EzPickle):
         render_mode: str | None = None,
         shown: Sequence[Any] | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        begin_at: Mapping[str, Clip] | None = None,
         **options: Any,
     ) -> None:
         EzPickle.__init__(
             self, num_envs, motions, config, seed, num_threads, render_mode, shown,
-            autoreset_mode, **options,
+            autoreset_mode, begin_at, **options,
         )  # fmt: skip
         check_render_mode(render_mode, self.metadata["render_modes"])
         self.autoreset_mode = _autoreset(autoreset_mode)
         given = seeds_of(seed, 1)[0]
         clips, task = clips_of(motions), config_of(config, options)
-        self.sim = BatchSim(clips, task, num_envs, given or 0, num_threads, shown)
+        check_count("num_envs", num_envs)
+        self.sim = BatchSim(clips, task, num_envs, given or 0, num_threads, shown, begin_at)
         self.num_envs = num_envs
         self.single_observation_space, self.single_action_space = spaces_of(self.sim)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -82,7 +91,7 @@ class QuestVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray], EzPickle):
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         self._unseeded = given is None and not task.fixed_start
         self._pictures = Pictures(self.sim)
-        self._over = np.zeros(num_envs, bool)
+        self._begun, self._over = np.zeros(num_envs, bool), np.zeros(num_envs, bool)
 
     def reset(
         self,
@@ -114,7 +123,7 @@ class QuestVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray], EzPickle):
             super().reset(seed=next(each for each in seeds if each is not None))
             self.sim.seed(seeds)
         self._begin(mask, starts)
-        self._over[mask] = False
+        self._begun[mask], self._over[mask] = True, False
         infos = masked(info_arrays(self.sim, mask), mask)
         return self.sim.observation.copy(), infos
 
@@ -132,9 +141,10 @@ class QuestVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray], EzPickle):
         """Apply torques ``(n, 33)`` for 1/36 s.
 
         Raises:
-            InputError: actions of another shape, or not finite, or an ended episode that
-                ``DISABLED`` leaves to ``reset``; nothing has moved then.
+            InputError: no episode has begun, actions of another shape, or not finite, or an ended
+                episode that ``DISABLED`` leaves to ``reset``; nothing has moved then.
         """
+        check_begun(bool(self._begun.all()))
         sim, before = self.sim, self._over
         if self.autoreset_mode == AutoresetMode.DISABLED and before.any():
             raise InputError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 BAD_INPUT, INTERRUPTED = 2, 130
 """Exit codes: invalid input; Ctrl-C, as in shells (128 + SIGINT)."""
@@ -11,6 +12,8 @@ LONGEST_QUOTE = 200
 """Greatest length of quoted input in a message."""
 LONGEST = 600
 """Greatest length of each part of a message."""
+LONGEST_VALUE = 80
+"""Greatest length of a value in a message."""
 
 
 class InputError(ValueError):
@@ -35,6 +38,16 @@ def _short(text: str | Path) -> str:
     cut = re.sub(rf"(['\"])([^'\"]{{{LONGEST_QUOTE}}})[^'\"]+\1", r"\1\2...\1", str(text))
     cut = re.sub(rf"(\S{{{LONGEST_QUOTE}}})\S{{8,}}", r"\1...", cut)
     return cut if len(cut) <= LONGEST else f"{cut[:LONGEST]}..."
+
+
+def value_text(value: Any) -> str:
+    """A short text of a value for an error message; only the type of arrays and other objects."""
+    if value is None or isinstance(value, bool | int | float | str):
+        text = repr(value)
+        return text if len(text) <= LONGEST_VALUE else text[: LONGEST_VALUE - 3] + "..."
+    if isinstance(value, tuple | list | dict | set) and len(repr(value)) <= LONGEST_VALUE:
+        return repr(value)
+    return f"of the type {type(value).__name__}"
 
 
 def at_least(least: float, **options: float | None) -> None:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 STANCE_M = 0.25
 """Width of the Gaussian that averages the ground under a user: half a stride."""
@@ -51,6 +50,8 @@ class HeightField:
                 used to average the ground.
             origin: x and y of ``height[0, 0]``; by default the centre is at x = y = 0.
         """
+        from scipy.ndimage import gaussian_filter  # late: a plane needs none
+
         rows, columns = height.shape
         middle = (-0.5 * cell_m * (columns - 1), -0.5 * cell_m * (rows - 1))
         surface = height if carved is None else carved

@@ -13,11 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import Field, field, fields, make_dataclass, replace
+from numbers import Real
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from questsim.errors import InputError
+from questsim.errors import InputError, value_text
 from questsim.extensions import load_extensions, same_source
 from questsim.skeleton import NUM_DOFS, NUM_LINKS
 
@@ -142,6 +143,9 @@ COMPILED: tuple[str, ...] = tuple(TERMS)
 """Terms that ``envs.kernels.score`` computes as well, much faster; tests compare the two."""
 
 
+_KERNELS = frozenset(f"k_{name}" for name in COMPILED)
+
+
 def register_term(name: str, function: Function, weight: float = 0.0, k: float = 1.0) -> Function:
     """Add a term to the table, e.g. from a module that ``QUESTSIM_EXTENSIONS`` names.
 
@@ -177,7 +181,8 @@ class RewardConfig:
     ``k_`` before the name for its k. Omitted fields have the table's defaults.
 
     Raises:
-        InputError: an unknown term.
+        InputError: an unknown term, a value that is not a finite number, or a negative k of a
+            kernel: its reward would grow with the error.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]] = _options()
@@ -189,6 +194,11 @@ class RewardConfig:
             if name not in self.__dataclass_fields__:
                 known = ", ".join(TERMS)
                 raise InputError(f"there is no reward term {name!r}", "reward", f"known: {known}")
+        for name, value in options.items():
+            if not (isinstance(value, Real) and np.isfinite(float(value))) or value is True:
+                raise InputError(f"is {value_text(value)}, not a number", f"reward {name}")
+            if value < 0.0 and name in _KERNELS:
+                raise InputError(f"is {value:g}, not a number from 0 on", f"reward {name}")
         self.__dict__.update(options)
 
     def __setstate__(self, state: dict[str, float]) -> None:

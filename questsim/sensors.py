@@ -8,14 +8,14 @@ Signals are synthetic, as in QuestSim: constant offsets, and no noise by default
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
-from questsim.errors import InputError
+from questsim.errors import InputError, value_text
 from questsim.skeleton import LINKS
 
 
@@ -139,6 +139,10 @@ class SensorNoise:
         dropout_frames: duration of a dropout; the device then repeats its last pose.
         mount_m: greatest distance of a device from its nominal mount, constant in a clip.
         mount_rad: greatest angle from its nominal mount.
+
+    Raises:
+        InputError: a value is negative, not finite or not a number, a probability is above 1, or a
+            number of frames is not whole.
     """
 
     position_std_m: float = 0.0
@@ -148,6 +152,18 @@ class SensorNoise:
     dropout_frames: int = 36
     mount_m: float = 0.0
     mount_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        for option in fields(self):
+            value, whole = getattr(self, option.name), option.name.endswith("_frames")
+            most = 1.0 if option.name == "dropout" else np.inf
+            kinds = (int, np.integer) if whole else (int, float, np.number)
+            good = isinstance(value, kinds) and not isinstance(value, bool)
+            if not (good and 0 <= float(value) <= most and np.isfinite(float(value))):
+                takes = "a whole number from 0 on" if whole else "a number from 0 on"
+                takes = "a probability from 0 to 1" if most == 1.0 else takes
+                what = f"{option.name} is {value_text(value)}; it takes {takes}"
+                raise InputError(what, "noise")
 
     def apply(
         self, position: np.ndarray, quat: np.ndarray, rng: np.random.Generator

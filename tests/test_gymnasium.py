@@ -18,6 +18,7 @@ from helpers import swaying_clip
 import envs
 from envs import EnvConfig, KinematicVecEnv, Pushes, QuestEnv, QuestVecEnv, QuestVectorEnv, Terrain
 from envs.options import config_from
+from envs.starts import Starts
 from questsim.errors import InputError
 from questsim.reward import TERMS, RewardConfig
 
@@ -245,8 +246,20 @@ def test_info_is_as_documented_in_both_faces() -> None:
         ({"noise": 0.1}, "noise is 0.1; it takes None or SensorNoise"),
         ({"sensors": None}, "sensors is None; it takes"),
         ({"future_frames": 2.5}, "future_frames is 2.5; it takes a whole number"),
-        ({"body_preset": ["x"]}, "body_preset is of the type list; it takes one of"),
+        ({"body_preset": ["x"]}, r"body_preset is \['x'\]; it takes one of"),
         ({"pushes": (1, 2, 3)}, "force_n is"),
+        ({"heights": (1.7,)}, r"heights is \(1.7,\); it takes the least and the greatest"),
+        ({"terrain": {"tiles": "rough"}}, "tiles is 'rough'; it takes a tuple of names"),
+        ({"pushes": {"count": 1.5}}, "count is 1.5, not a whole number"),
+        ({"randomisation": {"latency_frames": (0, 2.5)}}, "not a range of whole numbers"),
+        ({"noise": {"latency_frames": 1.5}}, "latency_frames is 1.5; it takes a whole number"),
+        ({"noise": {"dropout": 2}}, "dropout is 2; it takes a probability"),
+        ({"noise": {"position_std_m": -1}}, "position_std_m is -1; it takes a number from 0"),
+        ({"reward": {"k_contact": -1}}, "reward k_contact: is -1, not a number from 0 on"),
+        ({"starts": {"standing": 2}}, "starts: standing is 2, not a number from 0 to 1"),
+        ({"objects": [{"mass_kg": "x"}]}, "mass_kg is 'x', not a number"),
+        ({"shown": 5}, "shown: is 5; it takes a list of clips"),
+        ({"shown": [None] * 3}, r"shown\[0\]: is None, not a Clip"),
         ({"seed": -1}, "seed: is '-1'"),
         ({"render_mode": "ascii"}, "render_mode: is 'ascii'"),
         ({"config": 5}, "config: is 5, not an EnvConfig"),
@@ -262,6 +275,36 @@ def test_arguments_that_cannot_be_used_are_refused_in_one_short_line(
         with pytest.raises(InputError, match=what) as refusal:
             make()
         assert "\n" not in str(refusal.value) and len(str(refusal.value)) < 400
+
+
+@pytest.mark.parametrize("face", [QuestVectorEnv, QuestVecEnv])
+def test_a_number_of_simulations_or_threads_is_a_whole_number(face: Any) -> None:
+    for count in (0, 2.5, "x", True):
+        for name in ("num_envs", "num_threads"):
+            with pytest.raises(InputError, match=f"{name}: is .*; it takes a whole number from 1"):
+                face(motions=CLIPS, **{"num_envs": 2, name: count})
+
+
+def test_a_vec_env_refuses_seeds_and_options_of_another_form_at_once() -> None:
+    env = QuestVecEnv(CLIPS, num_envs=2)
+    with pytest.raises(InputError, match="not a whole number from 0 on"):
+        env.seed("x")  # type: ignore[arg-type]
+    for options, what in ((5, "neither a dict nor a list"), ([{"clip": 0}], "1 entries for 2")):
+        with pytest.raises(InputError, match=what):
+            env.set_options(options)  # type: ignore[arg-type]
+    env.set_options([{"clip": 0}, {"clip": 9}])
+    with pytest.raises(InputError, match=r"options\[1\]\['clip'\]: is 9"):
+        env.reset()
+
+
+@pytest.mark.parametrize("face", FACES)
+def test_a_step_before_the_first_reset_is_refused(face: Any) -> None:
+    env = made(face)
+    action = env.action_space.sample()
+    if isinstance(env, QuestVecEnv):
+        action = np.stack([action, action])
+    with pytest.raises(InputError, match="no episode has begun; call reset"):
+        env.step(action)
 
 
 def test_an_id_and_a_config_that_contradict_it_are_refused() -> None:
@@ -281,14 +324,21 @@ def test_plain_forms_of_options_mean_what_they_say() -> None:
             "objects": "ball",
             "terrain": "rough:seed=3",
             "privileged_frames": 3,
-            "randomisation": {"mass": [0.9, 1.1]},
+            "randomisation": {"mass": [0.9, 1.1], "friction": 0.8},
+            "starts": {"standing": 0.5},
         }
     )
     assert config.reward == RewardConfig(contact=0.5)
     assert config.pushes == Pushes(force_n=(0, 100)) and config.heights == (1.7, 1.7)
     assert config.objects == (envs.WorldObject("ball"),) and config.privileged_frames == (3,)
     assert config.terrain == envs.terrain_named("rough:seed=3")
-    assert config.randomisation == envs.Randomisation(mass=(0.9, 1.1))
+    assert config.randomisation == envs.Randomisation(mass=(0.9, 1.1), friction=(0.8, 0.8))
+    assert config.starts == Starts(standing=0.5)
+    config = config_from(
+        {"pushes": 80, "heights": np.array([1.5, 1.6]), "future_frames": np.int64(3)}
+    )
+    assert config.pushes == Pushes(force_n=(80, 80)) and config.heights == (1.5, 1.6)
+    assert config.future_frames == 3
 
 
 @pytest.mark.parametrize("face", FACES)

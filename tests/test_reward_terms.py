@@ -83,8 +83,12 @@ def test_a_term_that_is_not_known_is_refused_by_name() -> None:
         register_term("contact", energy)
 
 
-def test_a_term_without_a_value_is_an_error_and_no_fall(registered: str) -> None:
-    config = EnvConfig(reward=RewardConfig(test_energy=0.1, k_test_energy=np.nan))
+def test_a_term_without_a_value_is_an_error_and_no_fall(
+    registered: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken = TERMS[registered]._replace(function=lambda m, k: np.full(len(m.torque), np.nan))
+    monkeypatch.setitem(TERMS, registered, broken)
+    config = EnvConfig(reward=RewardConfig(test_energy=0.1))
     env = QuestVecEnv(CLIPS, config, num_envs=2)
     env.reset()
     with pytest.raises(ValueError, match="'test_energy' is not finite"):
