@@ -332,7 +332,7 @@ def test_clips_that_fail_come_more_often_and_none_is_forgotten() -> None:
 
 @pytest.mark.parametrize("options", [{"num_envs": 0}, {"num_envs": -3}, {"num_threads": 0}])
 def test_no_environments_and_no_threads_are_refused(options: dict) -> None:
-    with pytest.raises(InputError, match="and num_threads"):
+    with pytest.raises(InputError, match="takes a whole number from 1 on"):
         BatchSim(CLIPS, **options)
     with pytest.raises(InputError, match="no clips"):
         BatchSim([])
