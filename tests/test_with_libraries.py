@@ -219,6 +219,29 @@ def test_torchrl_makes_rolls_out_and_checks_it() -> None:
 
 
 @pytest.mark.slow
+def test_rllib_trains_on_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    why = "RLlib is not installed"
+    ppo = pytest.importorskip("ray.rllib.algorithms.ppo", reason=why, exc_type=ImportError)
+    import ray
+
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    config = (
+        ppo.PPOConfig()
+        .environment(ID, env_config={"motions": CLIPS, "heights": 1.75})
+        .env_runners(num_env_runners=0, num_envs_per_env_runner=2, rollout_fragment_length=64)
+        .training(train_batch_size_per_learner=128, minibatch_size=64, num_epochs=1)
+    )
+    ray.init("local", num_cpus=1, include_dashboard=False, log_to_driver=False)
+    try:
+        found = config.build_algo().train()
+    finally:
+        ray.shutdown()
+    assert found["env_runners"]["num_env_steps_sampled"] == 128
+    assert found["env_runners"]["episode_return_min"] > 0.0
+    assert np.isfinite(found["learners"]["default_policy"]["total_loss"])
+
+
+@pytest.mark.slow
 def test_skrl_steps_it() -> None:
     import torch
 
