@@ -179,7 +179,7 @@ def _kept_torques(clips: Sequence[Clip], preset: str) -> np.ndarray:
 
 def _key(clip: Clip, preset: str) -> bytes:
     digest = hashlib.blake2b(preset.encode(), digest_size=16)
-    digest.update(memoryview(np.ascontiguousarray(clip.qpos, "<f8")))
+    digest.update(np.asarray(clip.qpos, "<f8").tobytes())
     digest.update(repr(clip.proportions and clip.proportions.places).encode())
     return digest.digest()
 

@@ -261,7 +261,7 @@ def test_info_is_as_documented_in_both_faces() -> None:
         ({"shown": 5}, "shown: is 5; it takes a list of clips"),
         ({"shown": [None] * 3}, r"shown\[0\]: is None, not a Clip"),
         ({"seed": -1}, "seed: is '-1'"),
-        ({"render_mode": "ascii"}, "render_mode: is 'ascii'"),
+        ({"render_mode": "ascii"}, "render_mode: 'ascii' is not a render mode"),
         ({"config": 5}, "config: is 5, not an EnvConfig"),
         ({"config": EnvConfig(), "sensors": "H"}, "has sensors='H.2C', but the id or a keyword"),
     ],
