@@ -197,10 +197,11 @@ def test_a_quadruped_is_refused_because_it_is_no_person(tmp_path):
         read_motion(path)
 
 
-def test_who_lies_all_the_time_is_not_put_upright_if_a_rest_pose_shows_the_up_axis(tmp_path):
+@pytest.mark.parametrize("rest_frame", [True, False])
+def test_who_lies_all_the_time_is_refused_and_not_put_upright(rest_frame, tmp_path):
     joints = [(n + "X", p, o) for n, p, o in SMPL_JOINTS]
-    lies = {"PelvisX": np.array([[0, 0, 0]] + [[0, 0, -88]] * 19)}
-    path = write_bvh(tmp_path / "a.bvh", joints, standing(20, 0.95), lies)
+    turn = np.array([[0, 0, 0 if rest_frame else -88]] + [[0, 0, -88]] * 19)
+    path = write_bvh(tmp_path / "a.bvh", joints, standing(20, 0.12), {"PelvisX": turn})
     with pytest.raises(InputError, match=r"never stands upright: up is not y .* only lies"):
         read_motion(path)
 

@@ -32,7 +32,7 @@ from questsim.motion.families import SMPL, UNITS, UP_AXES, Family, load_mapping
 from questsim.motion.motion import Motion
 from questsim.motion.recognise import MAPPING
 from questsim.motion.recording import MAX_FPS, MIN_FPS, Recording
-from questsim.motion.rest import some_frames
+from questsim.motion.rest import some_frames, zero_pose
 from questsim.motion.skeletons import find_skeleton, without_rest_frame
 from questsim.motion.sources import TEXT_SUFFIXES
 from questsim.skeleton import JOINTS
@@ -42,6 +42,8 @@ USUAL_STATURE_M = 1.7
 DETECTED = "detected"
 RESTS_UPRIGHT = 0.95
 """Cosine between up and a rest pose: who lies all the time is no evidence of the up axis."""
+CLEARLY = 0.3
+"""Legs by which the lowest joints must be nearer to 0 along one axis than along another."""
 _CLIP_NAME = re.compile(r"dataset-\d+_(?P<kind>[a-z-]+)_(?P<style>[a-z-]+)_\d+")
 
 
@@ -185,8 +187,10 @@ def _on_own_skeleton(
             return motion, replace(report, **said)
     metres, units = _units(recording, family, options)
     up, up_note = _up_axis(recording, family, options)
-    if up_note == DETECTED and len(recording.positions) < len(whole.positions):
-        up = _rest_frames_up(whole, family) or up
+    if up_note == DETECTED:
+        has_rest_frame = len(recording.positions) < len(whole.positions)
+        up = (_standing_up(_first(whole), family) if has_rest_frame else None) or up
+        up = _lying_up(recording, family, up)
     motion = to_motion(recording, family, metres, up, **about)
     report = replace(check(motion, units, f"{up} ({up_note})"), **said)
     # Feet far from the floor are put onto it, and are no reason to skip the anatomy.
@@ -203,7 +207,7 @@ def _units(recording: Recording, family: Family, options: ReadOptions) -> tuple[
     if options.units:
         return UNITS[options.units], f"{options.units} (declared)"
     # One frame is enough for bone lengths, and in one frame no bone can stretch.
-    first = replace(recording, positions=recording.positions[:1], rotations=recording.rotations[:1])
+    first = _first(recording)
     height = stature(to_motion(first, family, 1.0, family.up or "y"))
     if options.height_m:
         metres = options.height_m / max(height, 1e-9)
@@ -242,12 +246,36 @@ def _up_axis(recording: Recording, family: Family, options: ReadOptions) -> tupl
     return best, DETECTED
 
 
-def _rest_frames_up(recording: Recording, family: Family) -> str | None:
-    """The up axis of a recording that begins with a rest pose, if that stands upright."""
-    first = replace(recording, positions=recording.positions[:1], rotations=recording.rotations[:1])
-    shares = _upright_shares(first, family)
+def _first(recording: Recording) -> Recording:
+    return replace(recording, positions=recording.positions[:1], rotations=recording.rotations[:1])
+
+
+def _standing_up(pose: Recording, family: Family) -> str | None:
+    """The axis along which a pose of one frame stands upright; None if it does not."""
+    shares = _upright_shares(pose, family)
     best = max(UP_AXES, key=lambda axis: shares[axis])
     return best if shares[best] > RESTS_UPRIGHT else None
+
+
+def _lying_up(recording: Recording, family: Family, up: str) -> str:
+    """The zero pose's up axis if the motion lies on the floor along it, else ``up``.
+
+    Someone who only lies is as upright along a horizontal axis as others along the vertical, but
+    the lowest joints are on the floor, at 0, along the vertical only.
+    """
+    rest = _standing_up(zero_pose(recording), family)
+    if rest in (None, up):
+        return up
+    position, _ = global_pose(some_frames(recording, 200))
+    index = {ours: recording.names.index(theirs) for ours, theirs in family.joints.items()}
+    places = position[:, list(index.values())]
+    thigh = position[:, index["left_knee"]] - position[:, index["left_hip"]]
+    leg = max(2.0 * float(np.linalg.norm(thigh, axis=-1).mean()), 1e-9)
+
+    def off_floor(axis: str) -> float:
+        return abs(float(np.median((places @ axis_vector(axis)).min(axis=1)))) / leg
+
+    return rest if off_floor(rest) + CLEARLY < off_floor(up) else up
 
 
 def _upright_shares(recording: Recording, family: Family) -> dict[str, float]:
