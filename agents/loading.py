@@ -6,11 +6,11 @@ from pathlib import Path
 
 from agents.agent import Agent, RandomAgent, ZeroAgent
 from agents.policy.checkpoint import load_policy
-from agents.resolve import PHYSICS, ZERO, base_of, own_object, resolve
+from agents.resolve import PHYSICS, ZERO, Resolved, base_of, own_object, resolve
 from questsim.errors import InputError
 
 
-def load_agent(path_or_name: str | Path) -> Agent:
+def load_agent(path_or_name: str | Path | Resolved) -> Agent:
     """An agent by name, checkpoint, stage or run folder, or ``package.module:Class``.
 
     Raises:

@@ -102,12 +102,14 @@ class Resolved:
         return training if isinstance(training, dict) else {}
 
 
-def resolve(path_or_name: str | Path) -> Resolved:
-    """Resolve a path or name.
+def resolve(path_or_name: str | Path | Resolved) -> Resolved:
+    """Resolve a path or name; a resolved one is returned as it is.
 
     Raises:
         InputError: no such agent; the message lists the known ones.
     """
+    if isinstance(path_or_name, Resolved):
+        return path_or_name
     name = str(path_or_name)
     if not name:
         raise InputError("the agent's name is empty", fix=f"give a folder or {_known()}")
@@ -141,7 +143,7 @@ def _is_own(name: str) -> bool:
     return form is not None and not name.startswith(PREFIX)
 
 
-def resolve_policy(path_or_name: str | Path) -> Resolved:
+def resolve_policy(path_or_name: str | Path | Resolved) -> Resolved:
     """Like ``resolve``, but only torque policies with a checkpoint.
 
     Raises:
@@ -150,22 +152,25 @@ def resolve_policy(path_or_name: str | Path) -> Resolved:
     found = resolve(path_or_name)
     if found.kind != "policy":
         fix = f"name a policy's folder or one of {', '.join(shipped_policies())}"
-        raise InputError("is not a torque policy", path_or_name, fix)
+        raise InputError("is not a torque policy", found.name, fix)
     return found
 
 
-def resolve_system(path_or_name: str | Path) -> Resolved:
+def resolve_system(path_or_name: str | Path | Resolved) -> Resolved:
     """Like ``resolve``, but only kinematic systems without physics.
 
     Raises:
         InputError: no such agent, or it is of another kind.
     """
-    name, found = str(path_or_name), None
+    if isinstance(path_or_name, Resolved) and path_or_name.kind == "system":
+        return path_or_name
+    name = path_or_name.name if isinstance(path_or_name, Resolved) else str(path_or_name)
+    found = None
     with suppress(InputError) if not (_is_own(name) or name.startswith(PREFIX)) else nullcontext():
         found = resolve(name)
     if found is None or found.kind != "system":
         fix = f"name a system's folder or one of {', '.join(shipped_systems())}"
-        raise InputError("is not a kinematic system", path_or_name, fix)
+        raise InputError("is not a kinematic system", name, fix)
     return found
 
 

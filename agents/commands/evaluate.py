@@ -82,7 +82,7 @@ def evaluate(args: EvaluateArgs) -> int:
     torch.set_num_threads(args.threads)
     if not found.torques:
         return _evaluate_system(args, found)
-    agent = load_agent(args.agent)
+    agent = load_agent(found)
     height = args.height if args.avatar_height is None else args.avatar_height
     config = _config_of(args, env_config(agent, args.env, height, args.body))
     _refuse_own_body(args, config)
@@ -168,7 +168,7 @@ def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
     from agents.kinematic.without_physics import pose_rollout
     from questsim.motion.spec import load_recordings
 
-    scenario = _scenario(args)
+    scenario = _scenario(args, found)
     motions = at_sensor_rate(load_recordings(args.motions, seed=args.seed), args.max_clips)
     filmed(args, motions)
     jobs = [(found.base, scenario, motion, 0, None) for motion in motions]
@@ -202,13 +202,13 @@ def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
     return report(args, rollouts, context | {"training": found.training})
 
 
-def _scenario(args: EvaluateArgs) -> Scenario:
+def _scenario(args: EvaluateArgs, found: Resolved) -> Scenario:
     """The first plain scenario of a kinematic system with the requested devices."""
     from agents.comparison.run import devices_named, sets_of, suiting
 
-    suited = suiting(args.agent, devices_named(args.sensors))
+    suited = suiting(found, devices_named(args.sensors))
     if not suited:
-        sets = ", ".join(sets_of(args.agent))
+        sets = ", ".join(sets_of(found))
         what = f"{args.agent} does not support {args.sensors}"
         raise InputError(what, "--sensors", f"choose from {sets}")
     return suited[0]

@@ -28,7 +28,7 @@ from agents.kinematic.physics_behind import avatar_samples, reference_of, rollou
 from agents.kinematic.recurrent.poser import RecurrentPoser
 from agents.kinematic.store import load_system
 from agents.loading import load_agent
-from agents.resolve import base_of, resolve
+from agents.resolve import Resolved, base_of, resolve
 from agents.training.ray_session import ray_map
 from questsim.errors import InputError
 from questsim.extensions import load_extensions
@@ -91,25 +91,26 @@ def devices_named(sensors: str | None) -> tuple[str, ...] | None:
     return SENSOR_SETS[sensors]
 
 
-def suiting(agent: str, devices: Sequence[str] | None) -> list[Scenario]:
+def suiting(agent: str | Resolved, devices: Sequence[str] | None) -> list[Scenario]:
     """The scenarios that an agent supports; with ``--sensors``, only those of its devices.
 
     Raises:
         InputError: there is no such agent.
     """
-    if resolve(agent).torques:
-        sensors = load_agent(agent).needs.sensors
+    resolved = resolve(agent)
+    if resolved.torques:
+        sensors = load_agent(resolved).needs.sensors
         name = PAPER_NAMES.get(sensors, sensors)
         found: Sequence[Scenario] = [Scenario(name, SENSOR_SETS[sensors])]
     else:
-        base = base_of(agent)
-        found = scenarios(load_system(base or agent))
-        if base is not None:
+        physics = resolved.kind == "physics"
+        found = scenarios(load_system(resolved.base if physics else resolved))
+        if physics:
             found = [scenario for scenario in found if scenario.plain]
     return [scenario for scenario in found if scenario.has(devices)]
 
 
-def sets_of(agent: str) -> list[str]:
+def sets_of(agent: str | Resolved) -> list[str]:
     """Names of the sensor sets of the scenarios that an agent supports."""
     used = [scenario.devices for scenario in suiting(agent, None)]
     return [name for name, devices in SENSOR_SETS.items() if devices in used]

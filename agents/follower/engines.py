@@ -118,7 +118,63 @@ class Engine(ABC):
         """The device poses at the time of the avatar's present state."""
 
 
-class TorqueEngine(Engine):
+class SimulatedEngine(Engine):
+    """An avatar on simulated physics, driven by the torques of an agent and the assist.
+
+    Args:
+        agent: outputs torques.
+        config: of the simulation.
+    """
+
+    physics = True
+
+    def __init__(self, agent: Agent, config: EnvConfig) -> None:
+        self._agent, self._config = agent, config
+
+    def build(self, height_m: float) -> None:
+        """See ``Engine``."""
+        self.height_m = height_m
+        self._sim = StreamSim(self._config, height_m)
+        self._agent.bind(self._sim)
+        self._agent.reset(1)
+        self._assist = Assist(self._sim, self.assist_n)
+
+    @property
+    def objects(self) -> np.ndarray:
+        """See ``Engine``."""
+        return self._sim.objects.pose[0].copy()
+
+    def put(self, qpos: np.ndarray, velocity: np.ndarray) -> None:
+        """See ``Engine``."""
+        self._sim.put(qpos, velocity)
+        self._agent.reset(1)
+        assert self._assist is not None
+        self._assist.reset()
+
+    def _step(self, headset: tuple[np.ndarray, np.ndarray], time_s: float) -> State:
+        """One step of physics; the simulation's window is already advanced.
+
+        Args:
+            headset: ``(3,)``, ``(4,)`` world pose of the user's headset at the avatar's present.
+            time_s: of the state after the step.
+        """
+        sim, assist = self._sim, self._assist
+        assert assist is not None
+        apart = float(np.linalg.norm(headset[0] - headsets(sim)[0]))
+        assist.apply(headset[0][None], headset[1][None])
+        sim.step(self._agent.act(sim.look()))
+        return State(
+            time_s=time_s,
+            qpos=sim.qpos[0, :QPOS].copy(),
+            contact_force=sim.contact_force[0].copy(),
+            assist_force=assist.force[0].copy(),
+            assist_torque=assist.torque[0].copy(),
+            headset_error_m=apart if not sim.unstable[0] else np.inf,
+            objects=sim.objects.pose[0].copy(),
+        )
+
+
+class TorqueEngine(SimulatedEngine):
     """A policy on simulated physics.
 
     Args:
@@ -130,7 +186,7 @@ class TorqueEngine(Engine):
         InputError: the agent has inputs that no device reports.
     """
 
-    rate_hz, physics = FPS, True
+    rate_hz = FPS
 
     def __init__(
         self,
@@ -145,14 +201,14 @@ class TorqueEngine(Engine):
                 "Follower",
                 f"name a kinematic system followed by {PHYSICS}",
             )
-        self._agent = agent
-        self._config = EnvConfig(
+        config = EnvConfig(
             sensors=sensors or needs.sensors,
             future_frames=needs.future_frames,
             body_preset=needs.body_preset,
             terrain=scene.terrain,
             objects=scene.objects,
         )
+        super().__init__(agent, config)
         if isinstance(agent, PolicyAgent):
             layout = Layout.of(observation_layout(self._config))
             layout.check_provides(agent.policy.layout, agent.name)
@@ -160,29 +216,9 @@ class TorqueEngine(Engine):
         self._window = self._config.future_frames
         self.latency_s = self._window / FPS
 
-    def build(self, height_m: float) -> None:
-        """See ``Engine``."""
-        self.height_m = height_m
-        self._sim = StreamSim(self._config, height_m)
-        self._agent.bind(self._sim)
-        self._agent.reset(1)
-        self._assist = Assist(self._sim, self.assist_n)
-
     def begin(self, position: np.ndarray, quat: np.ndarray) -> None:
         """See ``Engine``."""
         self._sim.show_devices(position, quat, fill=True)
-
-    @property
-    def objects(self) -> np.ndarray:
-        """See ``Engine``."""
-        return self._sim.objects.pose[0].copy()
-
-    def put(self, qpos: np.ndarray, velocity: np.ndarray) -> None:
-        """See ``Engine``."""
-        self._sim.put(qpos, velocity)
-        self._agent.reset(1)
-        assert self._assist is not None
-        self._assist.reset()
 
     def user_devices(self) -> tuple[np.ndarray, np.ndarray]:
         """See ``Engine``; over level ground."""
@@ -195,42 +231,8 @@ class TorqueEngine(Engine):
     ) -> State | None:
         """See ``Engine``."""
         self._sim.show_devices(position, quat)
-        assert self._assist is not None
         position, quat = self._sim.shown_devices()
-        headset = position[0], quat[0]
-        return stepped(
-            self._sim, self._agent, self._assist, headset, time_s - (self._window - 1) / FPS
-        )
-
-
-def stepped(
-    sim: StreamSim,
-    agent: Agent,
-    assist: Assist,
-    headset: tuple[np.ndarray, np.ndarray],
-    time_s: float,
-) -> State:
-    """One step of physics under an agent's torques and the assist.
-
-    Args:
-        sim: the simulation, with its window already advanced.
-        agent: bound to ``sim``.
-        assist: the assist of ``sim``.
-        headset: ``(3,)``, ``(4,)`` world pose of the user's headset at the avatar's present.
-        time_s: of the state after the step.
-    """
-    apart = float(np.linalg.norm(headset[0] - headsets(sim)[0]))
-    assist.apply(headset[0][None], headset[1][None])
-    sim.step(agent.act(sim.look()))
-    return State(
-        time_s=time_s,
-        qpos=sim.qpos[0, :QPOS].copy(),
-        contact_force=sim.contact_force[0].copy(),
-        assist_force=assist.force[0].copy(),
-        assist_torque=assist.torque[0].copy(),
-        headset_error_m=apart if not sim.unstable[0] else np.inf,
-        objects=sim.objects.pose[0].copy(),
-    )
+        return self._step((position[0], quat[0]), time_s - (self._window - 1) / FPS)
 
 
 class PoseEngine(Engine):
@@ -284,7 +286,7 @@ class PoseEngine(Engine):
         return resting_state(time_s, qpos)
 
 
-class PhysicsEngine(Engine):
+class PhysicsEngine(SimulatedEngine):
     """A tracker follows the poses of a kinematic system on simulated physics.
 
     Args:
@@ -297,7 +299,7 @@ class PhysicsEngine(Engine):
         InputError: the system cannot use these devices, or they are IMUs.
     """
 
-    rate_hz, physics = SENSOR_FPS, True
+    rate_hz = SENSOR_FPS
 
     def __init__(
         self,
@@ -307,15 +309,16 @@ class PhysicsEngine(Engine):
         objects: tuple[WorldObject, ...] = (),
     ) -> None:
         self.names = live_set(system, sensors)
-        self._system, self._agent = system, tracker
+        self._system = system
         needs = tracker.needs
-        self._config = EnvConfig(
+        config = EnvConfig(
             sensors="H",
             future_frames=needs.future_frames,
             privileged=needs.privileged,
             body_preset=needs.body_preset,
             objects=objects,
         )
+        super().__init__(tracker, config)
         # Sources of delay: the velocity of a reference frame needs the next one (the step wins one
         # back), frames of 60 and 36 Hz do not coincide, and states are interpolated.
         self._late = system.future_frames / SENSOR_FPS
@@ -323,11 +326,8 @@ class PhysicsEngine(Engine):
 
     def build(self, height_m: float) -> None:
         """See ``Engine``."""
-        self.height_m = height_m
+        super().build(height_m)
         self._poses = SystemPoses(self._system, self.names, height_m)
-        self._sim = StreamSim(self._config, height_m)
-        self._agent.bind(self._sim)
-        self._assist = Assist(self._sim, self.assist_n)
         self._dynamics = InverseDynamics()
         self._limits = build_body().torque_limits
 
@@ -340,17 +340,9 @@ class PhysicsEngine(Engine):
         self._users = [(position, quat)] * (AHEAD + 1)
         self._blend = 0
 
-    @property
-    def objects(self) -> np.ndarray:
-        """See ``Engine``."""
-        return self._sim.objects.pose[0].copy()
-
     def put(self, qpos: np.ndarray, velocity: np.ndarray) -> None:
         """See ``Engine``; the reference blends from this pose to the system's."""
-        self._sim.put(qpos, velocity)
-        self._agent.reset(1)
-        assert self._assist is not None
-        self._assist.reset()
+        super().put(qpos, velocity)
         self._last = [qpos.copy() for _ in range(_POSES)]
         still = clip_from_qpos("pose", np.array(self._last), self.height_m)
         self._sim.show_pose(still, 1, None, fill=True)
@@ -376,10 +368,9 @@ class PhysicsEngine(Engine):
         qpos = self._poses.retargeted(between_poses(before, pose, share))
         self._users = [*self._users[1:], (position, quat)]
         self._show(qpos)
-        assert self._assist is not None
         headset = self._users[0][0][0], self._users[0][1][0]
-        time_s -= moment - due + self._late + (AHEAD - 1) / FPS
-        return stepped(self._sim, self._agent, self._assist, headset, time_s)
+        late_s = moment - due + self._late + (AHEAD - 1) / FPS
+        return self._step(headset, time_s - late_s)
 
     def _show(self, qpos: np.ndarray) -> None:
         """Advance the tracker's window by the last pose that has both neighbours."""

@@ -242,8 +242,9 @@ def engine_of(
     else:
         found = resolve(agent)
         if found.torques:
-            return TorqueEngine(load_agent(agent), sensors, scene)
-        system, physics = load_system(found.base), found.kind != "system"
+            return TorqueEngine(load_agent(found), sensors, scene)
+        physics = found.kind == "physics"
+        system = load_system(found.base if physics else found)
     if physics and scene.terrain is not None:
         raise InputError(f"{agent} only supports level ground", "terrain", "leave it out")
     if physics:

@@ -129,8 +129,10 @@ class EncoderLayer(nn.TransformerEncoderLayer):
         if self.training or not is_small_batch(src, src.numel() // src.shape[-1]):
             return super().forward(src, *args, **options)
         attention = self.self_attn
-        told = linear(src, attention.in_proj_weight, attention.in_proj_bias)
-        query, key, value = told.unflatten(-1, (3, attention.num_heads, -1)).permute(2, 0, 3, 1, 4)
+        projected = linear(src, attention.in_proj_weight, attention.in_proj_bias)
+        query, key, value = projected.unflatten(-1, (3, attention.num_heads, -1)).permute(
+            2, 0, 3, 1, 4
+        )
         mixed = nn.functional.scaled_dot_product_attention(query, key, value)
         out = attention.out_proj
         x = self.norm1(src + linear(mixed.transpose(1, 2).flatten(2), out.weight, out.bias))
@@ -163,7 +165,7 @@ def _one(x, weight, bias, out):
 @_jit
 def _eight(x, weight, bias, out):
     """Compute eight rows, reading each weight once, and store as many as ``out`` has."""
-    told = np.empty(MOST_ROWS, np.float32)
+    sums = np.empty(MOST_ROWS, np.float32)
     for n in range(weight.shape[0]):
         a = b = c = d = e = f = g = h = np.float32(0.0)
         for k in range(weight.shape[1]):
@@ -176,7 +178,7 @@ def _eight(x, weight, bias, out):
             f += x[5, k] * w
             g += x[6, k] * w
             h += x[7, k] * w
-        told[0], told[1], told[2], told[3] = a, b, c, d
-        told[4], told[5], told[6], told[7] = e, f, g, h
+        sums[0], sums[1], sums[2], sums[3] = a, b, c, d
+        sums[4], sums[5], sums[6], sums[7] = e, f, g, h
         for m in range(len(out)):
-            out[m, n] = bias[n] + told[m]
+            out[m, n] = bias[n] + sums[m]

@@ -21,7 +21,7 @@ from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.switches import switches
 from agents.policy.checkpoint import write_resume
-from agents.resolve import IK, SYSTEM_CARD, own_object, resolve_system
+from agents.resolve import IK, SYSTEM_CARD, Resolved, own_object, resolve_system
 from questsim.errors import InputError
 from questsim.files import read_yaml, whole_folder
 from questsim.joint_sensors import SENSOR_FPS
@@ -180,7 +180,7 @@ def find_system(path_or_name: str | Path) -> Path:
     return folder
 
 
-def load_system(path_or_name: str | Path, **options: Any) -> KinematicSystem:
+def load_system(path_or_name: str | Path | Resolved, **options: Any) -> KinematicSystem:
     """A kinematic system by name, checkpoint or run folder, or ``package.module:Class``.
 
     Args:

@@ -85,9 +85,9 @@ class AvatarPoserModule(nn.Module):
             for joints in (1, NUM_JOINTS - 1)
         )
 
-    def forward(self, told: Tensor) -> Tensor:
+    def forward(self, inputs: Tensor) -> Tensor:
         """6D rotations ``(B, 22, 6)`` of the last frame of features ``(B, T, 135)``."""
-        last = self.encoder(self.embedding(told[..., COLUMNS]))[:, -1]
+        last = self.encoder(self.embedding(inputs[..., COLUMNS]))[:, -1]
         return torch.cat([self.root(last), self.pose(last)], dim=-1).unflatten(-1, (NUM_JOINTS, 6))
 
 
@@ -115,8 +115,8 @@ class AvatarPoser(KinematicSystem):
 
     @torch.no_grad()
     def _next(self, signals: DeviceSignals) -> Poses:
-        told, heading, position = self._told(signals)
-        self._past = [*self._past[1 - WINDOW :], told]
+        inputs, heading, position = self._inputs(signals)
+        self._past = [*self._past[1 - WINDOW :], inputs]
         six = self.module(torch.cat(self._past)[None])
         return self._poses(six, heading, position)
 
@@ -126,17 +126,17 @@ class AvatarPoser(KinematicSystem):
         signals = self._all_signals(sequence, body)
         if signals is None:
             return super().predict(sequence, body)
-        told, heading, position = self._told(signals)
-        parts = [self.module(told[None, : t + 1]) for t in range(min(WINDOW - 1, len(told)))]
-        for begin in range(0, len(told) - WINDOW + 1, WINDOWS_AT_ONCE):
-            end = min(begin + WINDOWS_AT_ONCE, len(told) - WINDOW + 1)
+        inputs, heading, position = self._inputs(signals)
+        parts = [self.module(inputs[None, : t + 1]) for t in range(min(WINDOW - 1, len(inputs)))]
+        for begin in range(0, len(inputs) - WINDOW + 1, WINDOWS_AT_ONCE):
+            end = min(begin + WINDOWS_AT_ONCE, len(inputs) - WINDOW + 1)
             parts.append(
-                self.module(told[torch.arange(begin, end)[:, None] + torch.arange(WINDOW)])
+                self.module(inputs[torch.arange(begin, end)[:, None] + torch.arange(WINDOW)])
             )
         poses = self._poses(torch.cat(parts), heading, position)
         return poses if poses.finite() else super().predict(sequence, body)
 
-    def _told(self, signals: DeviceSignals) -> tuple[Tensor, Tensor, np.ndarray]:
+    def _inputs(self, signals: DeviceSignals) -> tuple[Tensor, Tensor, np.ndarray]:
         """Features ``(T, 135)``, headings ``(T, 3, 3)`` and places ``(T, 3, 3)`` of new frames."""
         place = torch.as_tensor(signals.position[:, self._columns], dtype=torch.float32)
         quat = torch.as_tensor(signals.quat[:, self._columns], dtype=torch.float32)
@@ -146,8 +146,8 @@ class AvatarPoser(KinematicSystem):
         self._before = (place[-1:], turn[-1:])
         place, turn = (torch.cat(pair) for pair in zip(before, (place, turn), strict=True))
         empty, seen = torch.zeros_like(place), torch.zeros(1, 3, dtype=torch.bool)
-        told, heading = features(place[None], turn[None], empty[None], seen)
-        return told[0, 1:], heading[0, 1:], signals.position[:, self._columns]
+        inputs, heading = features(place[None], turn[None], empty[None], seen)
+        return inputs[0, 1:], heading[0, 1:], signals.position[:, self._columns]
 
     def _poses(self, six: Tensor, heading: Tensor, position: np.ndarray) -> Poses:
         """The poses with the head at the headset and, if refined, the hands at the controllers."""
@@ -215,9 +215,9 @@ def make_task(
 
     def loss(windows: Windows) -> tuple[Tensor, dict[str, float]]:
         seen = torch.zeros(len(windows), 3, dtype=torch.bool)
-        told, heading, target = training_inputs(windows, seen)
+        inputs, heading, target = training_inputs(windows, seen)
         with products(learning.bfloat16 and module.training):
-            six = module(told)
+            six = module(inputs)
         six = six.float()
         back = heading[:, -1].transpose(-1, -2)
         want = target.local[:, -1].clone()

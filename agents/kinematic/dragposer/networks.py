@@ -156,9 +156,9 @@ class LatentPredictor(nn.Module):
         """
         assert isinstance(self.places, Tensor)
         count = past.shape[1]
-        told = self.into(past) + self.places[PAST - count : PAST]
+        shown = self.into(past) + self.places[PAST - count : PAST]
         asked = self.into(past[:, -1:]) + self.places[PAST : PAST + future]
-        return past[:, -1:, :LATENT] + self.out(self.transformer(told, asked))
+        return past[:, -1:, :LATENT] + self.out(self.transformer(shown, asked))
 
 
 class AutoregressivePredictor(nn.Module):
@@ -183,27 +183,27 @@ class AutoregressivePredictor(nn.Module):
 
     def taught(self, past: Tensor, coming: Tensor) -> Tensor:
         """Predict latents ``(B, F, 24)`` from tokens ``(B, P, 33)`` and the true latents before."""
-        told = torch.cat([past[:, -1:, :LATENT], coming[:, :-1]], dim=1)
-        return self._decoded(self._remembered(past), told)
+        shown = torch.cat([past[:, -1:, :LATENT], coming[:, :-1]], dim=1)
+        return self._decoded(self._remembered(past), shown)
 
     def forward(self, past: Tensor, future: int) -> Tensor:
         """Predict z-scored latents ``(B, future, 24)`` from z-scored tokens ``(B, P, 33)``."""
-        memory, told = self._remembered(past), past[:, -1:, :LATENT]
+        memory, shown = self._remembered(past), past[:, -1:, :LATENT]
         for _ in range(future):
-            told = torch.cat([told, self._decoded(memory, told)[:, -1:]], dim=1)
-        return told[:, 1:]
+            shown = torch.cat([shown, self._decoded(memory, shown)[:, -1:]], dim=1)
+        return shown[:, 1:]
 
     def _remembered(self, past: Tensor) -> Tensor:
         assert isinstance(self.places, Tensor)
         count = past.shape[1]
-        told = self.into(past[:, :-1]) + self.places[PAST - count : PAST - 1]
-        return self.transformer.encoder(told)
+        tokens = self.into(past[:, :-1]) + self.places[PAST - count : PAST - 1]
+        return self.transformer.encoder(tokens)
 
-    def _decoded(self, memory: Tensor, told: Tensor) -> Tensor:
+    def _decoded(self, memory: Tensor, latents: Tensor) -> Tensor:
         assert isinstance(self.places, Tensor)
-        count = told.shape[1]
-        mask = torch.triu(told.new_full((count, count), float("-inf")), diagonal=1)
-        asked = self.again(told) + self.places[PAST - 1 : PAST - 1 + count]
+        count = latents.shape[1]
+        mask = torch.triu(latents.new_full((count, count), float("-inf")), diagonal=1)
+        asked = self.again(latents) + self.places[PAST - 1 : PAST - 1 + count]
         return self.out(self.transformer.decoder(asked, memory, tgt_mask=mask))
 
 

@@ -254,8 +254,8 @@ class Together:
         return skeleton.position[:, 0], local
 
     def _goals(self, rows: np.ndarray, frame: int) -> Goals:
-        told = [self.signals[row] for row in rows]
-        shown = np.stack([each.present[frame] for each in told])
+        streams = [self.signals[row] for row in rows]
+        shown = np.stack([each.present[frame] for each in streams])
         weights = np.array([HIP_WEIGHTS if j == HIP else OTHER_WEIGHTS for j in self.joints])
         if not self.system.rotations:
             weights[:, 1] = 0.0
@@ -268,8 +268,8 @@ class Together:
         ]
         return Goals(
             self.joints,
-            np.stack([each.position[frame] for each in told]),
-            np.stack([each.quat[frame] for each in told]),
+            np.stack([each.position[frame] for each in streams]),
+            np.stack([each.quat[frame] for each in streams]),
             scales,
             shown,
             np.stack([self._expected(row) for row in rows]),
@@ -371,10 +371,10 @@ class ManyDragPoser(DragPoser):
             return super().predict_many(sequences, bodies)
         signals, rises = [], []
         for sequence, body in zip(sequences, bodies, strict=True):
-            told = self._all_signals(sequence, body)
-            if told is None:
+            stream = self._all_signals(sequence, body)
+            if stream is None:
                 return super().predict_many(sequences, bodies)
-            signals.append(told)
+            signals.append(stream)
             rises.append(self._ankle_rise)
         joints = [each.joint for each in self._mounts]
         found = Together(self, signals, bodies, joints, rises).run()

@@ -68,10 +68,10 @@ def make_task(
     """Create the task of stage ``vae`` or ``predictor``."""
     assert isinstance(module, DragPoserModule)
     if not module.std.any():
-        told = poses(bank.fixed(NORMALISED_BY), 1)
-        module.mean.copy_(told.mean(dim=0))
-        module.std.copy_(told.std(dim=0).clamp_min(1e-3))
-        module.step_std.copy_(told[:, 0, 4:7].std().clamp_min(1e-4))
+        known = poses(bank.fixed(NORMALISED_BY), 1)
+        module.mean.copy_(known.mean(dim=0))
+        module.std.copy_(known.std(dim=0).clamp_min(1e-3))
+        module.step_std.copy_(known[:, 0, 4:7].std().clamp_min(1e-4))
     if stage == "predictor" and not module.token_std.any():
         with torch.no_grad():
             tokens = tokens_of(module, bank.fixed(64)).flatten(0, 1)
@@ -169,7 +169,7 @@ def tokens_of(module: DragPoserModule, windows: Windows, noise: Tensor | None = 
     """
     frames = range(TOKEN_EVERY, windows.frames, TOKEN_EVERY)
     turned = diff.matrix_to_quat(windows.world[:, :, 0])
-    told = []
+    states = []
     for i, frame in enumerate(frames):
         pose = poses(windows, frame)
         if noise is not None and i < noise.shape[1]:
@@ -180,8 +180,8 @@ def tokens_of(module: DragPoserModule, windows: Windows, noise: Tensor | None = 
         moved = root[:, frame] - root[:, frame - TOKEN_EVERY]
         moved = diff.quat_rotate(diff.quat_conjugate(turned[:, frame - TOKEN_EVERY]), moved)
         heights = windows.position[:, frame, list(HEIGHT_JOINTS), 2]
-        told.append(torch.cat([latent, moved, heights], dim=-1))
-    return torch.stack(told, dim=1)
+        states.append(torch.cat([latent, moved, heights], dim=-1))
+    return torch.stack(states, dim=1)
 
 
 def _predictor_loss(

@@ -67,21 +67,21 @@ def features(
         features ``(B, T, 135)`` and rotations of the heading ``(B, T, 3, 3)``.
     """
     arrays = (array.contiguous().numpy() for array in (position, rotation, acceleration, seen))
-    told = np.zeros((*position.shape[:2], NUM_FEATURES), np.float32)
+    values = np.zeros((*position.shape[:2], NUM_FEATURES), np.float32)
     heading = np.zeros((*position.shape[:2], 3, 3), np.float32)
-    _tell(*arrays, told, heading)
-    return torch.from_numpy(told), torch.from_numpy(heading)
+    _fill(*arrays, values, heading)
+    return torch.from_numpy(values), torch.from_numpy(heading)
 
 
 @jit
-def _tell(position, rotation, acceleration, seen, told, heading):
+def _fill(position, rotation, acceleration, seen, values, heading):
     """Write the features of each frame into a zeroed array; see ``features``."""
     frames = position.shape[1]
     now, was = np.empty((2, 3, 3), np.float32), np.empty((2, 3, 3), np.float32)
     place, last = np.empty((2, 3), np.float32), np.empty((2, 3), np.float32)
     for b in range(len(position)):
         for t in range(frames):
-            before, out = max(t - 1, 0), told[b, t]
+            before, out = max(t - 1, 0), values[b, t]
             turns, turns_before = rotation[b, t], rotation[b, before]
             at, at_before = position[b, t], position[b, before]
             cos, sin = _heading(turns[0, 0, 0], turns[0, 1, 0])

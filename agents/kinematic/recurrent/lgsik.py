@@ -139,8 +139,8 @@ class LgsikNet(nn.Module):
             nn.LeakyReLU(),
             Linear(spec.shape_hidden, NUM_BONES),
         )
-        told = [JOINTS.index(joint) for joints in PARTS.values() for joint in joints]
-        self._order = [told.index(joint) for joint in range(NUM_JOINTS)]
+        listed = [JOINTS.index(joint) for joints in PARTS.values() for joint in joints]
+        self._order = [listed.index(joint) for joint in range(NUM_JOINTS)]
 
     def _heads(self) -> list[nn.Sequential]:
         """Heads of the root and the parts, in the order of ``_END``, or one for all joints."""
@@ -190,11 +190,11 @@ class LgsikNet(nn.Module):
             x = nn.functional.leaky_relu(layer(x), 0.2)
         x = x.view(batch, frames, len(PARTS), -1)
         x, second = self.second(x, states[1] if states else None)
-        told = x.flatten(2)
-        six = self._rotations(features, x) if self.spec.ik_heads else self.heads[0](told)
+        flat = x.flatten(2)
+        six = self._rotations(features, x) if self.spec.ik_heads else self.heads[0](flat)
         if self.spec.shape_group:
-            told = torch.cat([told, measured], dim=-1)
-        return six.view(batch, frames, NUM_JOINTS, 6), self.shape(told), [first, second]
+            flat = torch.cat([flat, measured], dim=-1)
+        return six.view(batch, frames, NUM_JOINTS, 6), self.shape(flat), [first, second]
 
     def _rotations(self, features: Tensor, x: Tensor) -> Tensor:
         """Output of the IK heads ``(B, T, 22, 6)`` from the parts' features ``(B, T, 6, size)``."""

@@ -77,7 +77,7 @@ class LstmBank(DerivedWeights):
         kind = torch.get_autocast_dtype("cpu") if torch.is_autocast_enabled("cpu") else x.dtype
         both, bias = (w.to(kind) for w in self.derived(self._weights))
         into, across = both.split(self.size, dim=-1)
-        none, told, hidden, cell = torch.zeros_like(bias[0]), [], [], []
+        none, outputs, hidden, cell = torch.zeros_like(bias[0]), [], [], []
         for group in range(self.groups):
             weights = [
                 into[group].contiguous(),
@@ -90,8 +90,8 @@ class LstmBank(DerivedWeights):
                 x[:, :, group].to(kind).contiguous(),
                 before, weights, True, 1, 0.0, self.training, False, True,
             )  # fmt: skip
-            told.append(out)
+            outputs.append(out)
             hidden.append(h[0])
             cell.append(c[0])
         after = (torch.stack(hidden).to(x.dtype), torch.stack(cell).to(x.dtype))
-        return torch.stack(told, dim=2).to(x.dtype), after
+        return torch.stack(outputs, dim=2).to(x.dtype), after

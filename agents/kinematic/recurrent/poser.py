@@ -126,9 +126,9 @@ class RecurrentPoser(KinematicSystem):
         first = (position[:, :1], rotation[:, :1], acceleration[:, :1])
         before = self._before if self._before is not None else first
         joined = [torch.cat(pair, dim=1) for pair in zip(before, now, strict=True)]
-        told, heading = features(joined[0], joined[1], joined[2], seen)
+        inputs, heading = features(joined[0], joined[1], joined[2], seen)
         self._before = (position[:, -1:], rotation[:, -1:], acceleration[:, -1:])
-        six, shape, self._states = self.module.net(told[:, 1:], self._measured, self._states)
+        six, shape, self._states = self.module.net(inputs[:, 1:], self._measured, self._states)
         total = shape[0].cumsum(0) + self._shape_sum
         count = self._count + torch.arange(1, len(total) + 1)
         self._shape_sum, self._count = total[-1], int(count[-1])
@@ -165,13 +165,13 @@ class RecurrentPoser(KinematicSystem):
         for begin in range(1, len(sequence) - frames + 1, WINDOWS_AT_ONCE):
             end = min(begin + WINDOWS_AT_ONCE, len(sequence) - frames + 1)
             rows = torch.arange(begin, end)[:, None] + torch.arange(frames)
-            told, heading = features(
+            inputs, heading = features(
                 position[0, rows],
                 rotation[0, rows],
                 acceleration[0, rows],
                 seen.expand(len(rows), -1),
             )
-            six, shape, _ = self.module.net(told, self._measured.expand(len(rows), -1), None)
+            six, shape, _ = self.module.net(inputs, self._measured.expand(len(rows), -1), None)
             head = position[0, rows[:, -1], 0]
             parts.append(self._poses(six[:, -1], shape.mean(dim=1), heading[:, -1], head))
         return Poses.joined(parts)
@@ -208,12 +208,12 @@ def training_inputs(windows: Windows, seen: Tensor) -> tuple[Tensor, Tensor, Win
     imu = place[:, :, 3:] + (rotation[:, :, 3:] @ arms_there).squeeze(-1)
     acceleration = torch.zeros_like(imu)
     acceleration[:, 2:] = (imu[:, 2:] - 2 * imu[:, 1:-1] + imu[:, :-2]) * SENSOR_FPS**2
-    told, heading = features(place[:, :, :3], rotation, acceleration, seen)
+    inputs, heading = features(place[:, :, :3], rotation, acceleration, seen)
     cut = slice(HISTORY, None)
     target = Windows(
         windows.local[:, cut], windows.world[:, cut], windows.position[:, cut], windows.offsets
     )
-    return told[:, cut], heading[:, cut], target
+    return inputs[:, cut], heading[:, cut], target
 
 
 def _l1(a: Tensor, b: Tensor) -> Tensor:
@@ -310,10 +310,10 @@ def make_task(
 
     def loss(batch: tuple[Windows, Tensor]) -> tuple[Tensor, dict[str, float]]:
         windows, seen = batch
-        told, heading, target = training_inputs(windows, seen)
+        inputs, heading, target = training_inputs(windows, seen)
         body = module.body_inputs(target.offsets.numpy())
         with products(learning.bfloat16 and module.training):
-            six, shape, _ = module.net(told, body)
+            six, shape, _ = module.net(inputs, body)
         return losses(module, six.float(), shape.float(), heading, target)
 
     def validate() -> dict[str, float]:

@@ -158,12 +158,12 @@ class Generator(nn.Module):
 
     def _static(self, offsets: Tensor) -> tuple[list[Tensor], Tensor]:
         """Features of the offsets at 22, 14 and 9 joints, and at 6 joints with an empty slot."""
-        told, x = [offsets], offsets
+        levels, x = [offsets], offsets
         for level, layer in enumerate(self.static):
             x = self._spread(f"pool_{level}", layer(x), STATIC[level + 1])
             x = nn.functional.leaky_relu(x, 0.2)
-            told.append(x)
-        return told[:3], nn.functional.pad(told[3], (0, STATIC[3]))
+            levels.append(x)
+        return levels[:3], nn.functional.pad(levels[3], (0, STATIC[3]))
 
     def forward(self, sparse: Tensor, offsets: Tensor) -> Tensor:
         """Normalised dual quaternions ``(B, 176, T)``, before scaling to unit length.
@@ -172,7 +172,7 @@ class Generator(nn.Module):
             sparse: ``(B, 56, T)`` with T a multiple of 8.
             offsets: ``(B, 66)`` normalised.
         """
-        told, deepest = self._static(offsets)
+        levels, deepest = self._static(offsets)
         x = sparse
         for conv, static in zip(self.encoder, self.encoder_static, strict=True):
             x = nn.functional.leaky_relu(conv(x) + static(deepest)[..., None], 0.2)
@@ -180,7 +180,7 @@ class Generator(nn.Module):
         for level, conv, static in blocks:
             x = nn.functional.interpolate(x, scale_factor=2, mode="linear", align_corners=False)
             x = self._spread(f"unpool_{level}", x, self.spec.channels[level + 1])
-            x = conv(x) + static(told[level])[..., None]
+            x = conv(x) + static(levels[level])[..., None]
             if level:
                 x = nn.functional.leaky_relu(x, 0.2)
         return x
@@ -268,17 +268,18 @@ class SparsePoserModule(nn.Module):
             ends: ``(B, T, 6, 8)`` normalised dual quaternions of the trackers.
             offsets: ``(B, 22, 3)`` normalised.
         """
-        told, parts = self.normal(dual), list(dual.unbind(-2))
+        scaled, parts = self.normal(dual), list(dual.unbind(-2))
         for name, limb in LIMBS.items():
             bones = offsets[:, [*limb.joints[1:], ENDS[limb.end]]].flatten(1)
             seen = [
                 bones[:, None].expand(-1, dual.shape[1], -1),
-                told[..., list(limb.chain), :].flatten(2),
+                scaled[..., list(limb.chain), :].flatten(2),
                 ends[..., limb.end, :],
             ]
             joints = list(limb.joints)
             out = (
-                self.ik[name](torch.cat(seen, dim=-1)).unflatten(-1, (3, 8)) + told[..., joints, :]
+                self.ik[name](torch.cat(seen, dim=-1)).unflatten(-1, (3, 8))
+                + scaled[..., joints, :]
             )
             out = diff.unit_dual_quat(out * self.std[joints] + self.mean[joints])
             for joint, answer in zip(joints, out.unbind(-2), strict=True):
