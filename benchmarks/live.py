@@ -83,19 +83,19 @@ def measure(agent: str, minutes: float, assist_n: float) -> dict[str, float]:
     for frame in frames[:200]:  # compiles, and warms caches
         follower.step(frame)
     follower.reset()
-    times, busy, said, half = [], [], [], 0
+    times, busy, events, half = [], [], [], 0
     for number, frame in enumerate(frames):
         began, worked = time.perf_counter(), time.thread_time()
         pose = follower.step(frame)
         busy.append(time.thread_time() - worked)
         times.append(time.perf_counter() - began)
-        said += [event for event in pose.events if "set up again" in event]
+        events += [event for event in pose.events if "set up again" in event]
         if number == len(frames) // 2:
             half = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     whole = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     p50, p99 = np.percentile(times, [50, 99])
     own_p50, own_p99 = np.percentile(busy, [50, 99])
-    falls = sum("fell" in event for event in said)
+    falls = sum("fell" in event for event in events)
     return {
         "frames": len(frames),
         "p50_ms": 1e3 * float(p50),
@@ -106,7 +106,7 @@ def measure(agent: str, minutes: float, assist_n: float) -> dict[str, float]:
         "processor_p99_ms": 1e3 * float(own_p99),
         "times_real_time": frames[-1].time_s / sum(times),
         "falls": falls,
-        "other_restarts": len(said) - falls,
+        "other_restarts": len(events) - falls,
         "memory_growth_in_second_half_kb": whole - half,
     }
 

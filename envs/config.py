@@ -225,6 +225,6 @@ def _check_forms(config: EnvConfig) -> None:
     check(
         "objects",
         "a tuple of WorldObject",
-        lambda v: isinstance(v, tuple) and all(isinstance(thing, WorldObject) for thing in v),
+        lambda v: isinstance(v, tuple) and all(isinstance(each, WorldObject) for each in v),
         "names, such as 'ball', or mappings of their fields",
     )

@@ -101,7 +101,7 @@ class SignalFaults:
 
 
 class DeviceFaults:
-    """Noise, mounting errors and recentring: what every episode draws anew.
+    """Noise, mounting errors and recentring: drawn in every episode.
 
     Args:
         options: ranges; None for perfect devices.

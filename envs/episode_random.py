@@ -84,7 +84,7 @@ class EpisodeRandom:
         self._streams = Streams(count, seed, purpose)
 
     def seed(self, seeds: Seeds) -> None:
-        """Begin the streams anew."""
+        """Restart the streams."""
         self._streams.seed(seeds)
 
     def draw(

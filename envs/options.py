@@ -150,12 +150,12 @@ def _body(value: Any) -> Any:
 
 
 def _objects(value: Any) -> Any:
-    things = [value] if isinstance(value, str | Mapping | WorldObject) else value
-    if not isinstance(things, Sequence):
+    objects = [value] if isinstance(value, str | Mapping | WorldObject) else value
+    if not isinstance(objects, Sequence):
         return value
     return tuple(
-        WorldObject(thing) if isinstance(thing, str) else _fields_of(WorldObject, thing, "objects")
-        for thing in things
+        WorldObject(obj) if isinstance(obj, str) else _fields_of(WorldObject, obj, "objects")
+        for obj in objects
     )
 
 

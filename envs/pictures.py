@@ -72,8 +72,8 @@ class Pictures:
         if i not in self._azimuth:
             self._azimuth[i] = three_quarter_azimuth(pose[None, 3:7])
         markers = []
-        for thing, place in zip(sim.config.objects, sim.objects.pose[i], strict=True):
-            markers += object_markers(shapes_of(thing, height), place[:3], place[3:])
+        for obj, place in zip(sim.config.objects, sim.objects.pose[i], strict=True):
+            markers += object_markers(shapes_of(obj, height), place[:3], place[3:])
         lookat = np.array([pose[0], pose[1], sim.floor[i] + height / 2.0])
         camera = Camera(lookat, 2.0 * height, self._azimuth[i])
         return self._renderers[body].render([pose], camera, markers)

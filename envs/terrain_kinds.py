@@ -50,7 +50,7 @@ def stairs(terrain: Terrain, x: np.ndarray, y: np.ndarray, rng: np.random.Genera
     """Flights of steps along x, up, a landing, down, a landing, and so on."""
     flight = FLIGHT * terrain.step_depth_m
     along = np.mod(x, 2.0 * (flight + LANDING_M))
-    # The first riser of a flight stands at its beginning.
+    # The first riser of a flight is at its beginning.
     risen = np.clip(np.floor(along / terrain.step_depth_m + 1e-9) + 1.0, 0.0, FLIGHT)
     back = along - flight - LANDING_M
     gone = np.clip(np.floor(back / terrain.step_depth_m + 1e-9) + 1.0, 0.0, FLIGHT)

@@ -331,7 +331,7 @@ def _unit(poses: Mapping[str, list[float]]) -> dict[str, list[float]]:
     for name, pose in poses.items():
         try:
             length = float(np.hypot.reduce(np.asarray(pose[3:], float)))
-        except (TypeError, ValueError):  # said where the frame is made
+        except (TypeError, ValueError):  # reported when the frame is made
             length = 0.0
         near = abs(length - 1.0) < 0.01
         out[name] = [*pose[:3], *(np.array(pose[3:]) / length)] if near else pose

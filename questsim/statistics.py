@@ -30,7 +30,7 @@ def interval(
 ) -> tuple[float, float] | None:
     """95 % interval of a mean over clips: percentile bootstrap (Efron & Tibshirani 1993, ch. 13).
 
-    Clips are drawn anew with replacement, 5,000 times. They are taken as independent, which
+    Clips are drawn with replacement, 5,000 times. They are taken as independent, which
     takes of one performer are only in part.
 
     Args:

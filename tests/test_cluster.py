@@ -189,7 +189,7 @@ def test_train_py_trains_with_workers_and_goes_on_with_others(tmp_path, cluster,
     assert main([*line.split(), "--steps", "64", "--workers", "2", "--resume"]) == 0
     assert "anew" not in capsys.readouterr().out
     assert main([*line.split(), "--steps", "96", "--resume"]) == 0
-    assert "another number of workers: episodes begin anew" in capsys.readouterr().out
+    assert "another number of workers: new episodes begin" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("line", ["train --preset smoke --workers 1", "sweep --preset smoke"])

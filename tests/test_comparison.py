@@ -12,7 +12,7 @@ from PIL import Image
 
 from agents.comparison import run as run_module
 from agents.comparison.behind import body_of
-from agents.comparison.compare import FIGURES, FILES, CompareArgs, compare, everyone, plan
+from agents.comparison.compare import FIGURES, FILES, CompareArgs, compare, plan, shipped_agents
 from agents.comparison.conditions import NOISES, Start, condition_of, noisy, row_name
 from agents.comparison.drawn import _over_time, compared, predictor_over_time, predictor_pairs
 from agents.comparison.plots import KINDS, kind_of
@@ -109,7 +109,7 @@ def test_an_evaluation_of_nobody_is_refused():
 
 
 def test_without_names_all_that_is_shipped_is_compared_once_and_no_agent_that_observes_the_answer():
-    found = everyone()
+    found = shipped_agents()
     assert {"ik", "hmdposer", "lgsik", "hmdposer+physics", "questsim"} <= set(found)
     assert not {"tracker", "demo"} & set(found) and len(set(found)) == len(found)
 

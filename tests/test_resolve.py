@@ -10,7 +10,7 @@ import pytest
 from helpers import swaying_clip
 
 from agents import load_agent
-from agents.comparison.compare import compare, everyone
+from agents.comparison.compare import compare, shipped_agents
 from agents.comparison.options import CompareArgs
 from agents.evaluation import EvaluateArgs, evaluate
 from agents.kinematic import load_system
@@ -165,8 +165,8 @@ def test_an_own_kinematic_system_takes_the_place_of_a_shipped_one(own, library):
     assert load_system("own_system:Mine").name == "mine"
 
 
-def test_everyone_is_compared_in_the_order_of_the_tables():
-    names = everyone()
+def test_shipped_agents_are_compared_in_the_order_of_the_tables():
+    names = shipped_agents()
     assert names[:6] == ["ik", "hmdposer", "lgsik", "sparseposer", "dragposer", "lgsik-lengths"]
     assert names[6:12] == [f"{name}{PHYSICS}" for name in names[:6]]
     assert names[12:] == ["questsim", "questsim-headset", "questsim-now", "questsim-robust"]

@@ -269,7 +269,7 @@ def plan(agents: Sequence[str], sensors: str | None) -> dict[str, list[Scenario]
         InputError: an unknown agent or sensor set, or an agent that cannot use the sensors.
     """
     devices = devices_named(sensors)
-    planned = {agent: suiting(agent, devices) for agent in agents or everyone()}
+    planned = {agent: suiting(agent, devices) for agent in agents or shipped_agents()}
     if agents:
         for agent, scenarios in planned.items():
             if not scenarios:
@@ -280,7 +280,7 @@ def plan(agents: Sequence[str], sensors: str | None) -> dict[str, list[Scenario]
     return planned
 
 
-def everyone() -> list[str]:
+def shipped_agents() -> list[str]:
     """All agents available without training: systems, systems with physics, and policies.
 
     Policies that observe the full-body reference are left out, and so is the policy trained only

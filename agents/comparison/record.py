@@ -55,13 +55,13 @@ class Record:
                 if entry["agent"] == self._digest(row):
                     self._found[row, entry["clip"]] = summary
         except (ValueError, IndexError, KeyError, TypeError) as error:
-            raise InputError("is damaged", self.path, "remove it to begin anew") from error
+            raise InputError("is damaged", self.path, "remove it to start again") from error
         if found != what:
             off = sorted(key for key in {*found, *what} if found.get(key) != what.get(key))
             raise InputError(
                 f"has the results of another comparison (other {', '.join(off)})",
                 self.path,
-                "choose another --out, or remove the file to begin anew",
+                "choose another --out, or remove the file to start again",
             )
         if whole != text:
             self.path.write_text(whole, encoding="utf-8")

@@ -187,7 +187,7 @@ class LiveServer:
         await socket.prepare(request)
         drives = request.query.get("role") == "driver"
         if drives and (self._driver is not None or not self._page_drives):
-            reason = b"somebody else drives" if self._page_drives else b"the page only watches"
+            reason = b"another page drives" if self._page_drives else b"the page only watches"
             await socket.close(code=4001, message=reason)
             return socket
         assert self.session is not None

@@ -21,7 +21,7 @@ MEMORY_FRAMES = 30 * int(FPS)
 
 
 class RunningRetargeter(StreamRetargeter):
-    """``StreamRetargeter`` whose footing is estimated anew while the stream goes on.
+    """``StreamRetargeter`` whose footing is estimated again and again during the stream.
 
     Several poses that arrive after each other are computed at once, with the result of one after
     the other.

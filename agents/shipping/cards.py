@@ -1,4 +1,4 @@
-"""The figures in the cards of shipped kinematic systems, written anew from a comparison.
+"""The figures in the cards of shipped kinematic systems, rewritten from a comparison.
 
 The comparison's report is kept beside the weights, so that a test can hold the cards against it.
 """

@@ -124,7 +124,7 @@ class Stage:
         """Go on from the last checkpoint: steps, networks, optimiser, sampler, random states.
 
         The avatars go on with their episodes, so that PPO ends with the bits of a run that was
-        not interrupted; with another number of workers they begin anew.
+        not interrupted; with another number of workers new ones begin.
 
         Returns:
             What differs from an uninterrupted run, if anything.
@@ -138,7 +138,7 @@ class Stage:
         self.best_score, self.history = state["best_score"], state["history"]
         torch.set_rng_state(state["torch_random"])
         return (
-            "another number of workers: episodes begin anew, so the bits are not those of an "
+            "another number of workers: new episodes begin, so the bits are not those of an "
             "uninterrupted run"
             if others
             else None

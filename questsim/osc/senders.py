@@ -86,7 +86,7 @@ class _Sender:
             bundle.add_content(message.build())
         try:
             self._client.send(bundle.build())
-        except OSError:  # nobody listens there, or the network is down
+        except OSError:  # no program listens there, or the network is down
             self.refused += 1
 
 

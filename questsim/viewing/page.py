@@ -62,7 +62,7 @@ class Page:
             snapshot = session.snapshot()
             panel.record(snapshot)
             if not self._server.get_clients():
-                continue  # nobody looks
+                continue  # no page is open
             if snapshot.step != shown or snapshot.paused:
                 shown = snapshot.step
                 self._scene.show(snapshot)

@@ -53,8 +53,8 @@ class PageScene:
         self._world = self._scene.add_frame("/world", show_axes=False)
         self._avatar = [self._link(f"/world/avatar/{link}", link) for link in LINKS]
         self._person = [self._ghost_link(f"/world/user/{link}", link) for link in LINKS]
-        # Browsers leave out what they take to be out of sight, and work out only once where
-        # several things drawn as one are: these stay near the frame that goes along.
+        # Browsers do not draw what is out of sight, and compute the place of batched markers only
+        # once. So these stay near a frame that moves with the avatar.
         self._near = self._scene.add_frame("/world/near", show_axes=False)
         self._axes = self._scene.add_batched_axes(
             "/world/near/devices",

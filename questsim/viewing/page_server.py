@@ -73,7 +73,7 @@ def check_address(host: str, port: int) -> None:
     try:
         kind, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(kind) as probe:
-            if os.name == "posix":  # as the server itself does; elsewhere it means another thing
+            if os.name == "posix":  # as the server itself does; it has another meaning elsewhere
                 probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
             probe.listen()
@@ -139,7 +139,7 @@ def warn_if_open(host: str) -> None:
     """Warn on stderr if other machines can reach the page."""
     if not is_loopback(host):
         print(
-            f"warning: the page listens on {host} without encryption: whoever has its address, "
+            f"warning: the page listens on {host} without encryption: anyone who has its address, "
             "token included, can watch and control it",
             file=sys.stderr,
         )

@@ -163,7 +163,7 @@ class SceneRenderer:
             self._model, height, width, max_geom=max(500, 70 * len(figures))
         )
         self._camera = mujoco.MjvCamera()
-        # At exit MuJoCo ends OpenGL before it frees renderers that nobody closed: that fails.
+        # At exit MuJoCo ends OpenGL before it frees renderers that were not closed: that fails.
         self._at_exit = partial(_close, ref(self._renderer))
         atexit.register(self._at_exit)
 

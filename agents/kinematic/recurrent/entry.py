@@ -83,7 +83,7 @@ HMDPOSER = _entry(
         ),
         Variant(
             "no-shape-head",
-            "bones are not estimated: everybody has the mean body (HMD-Poser)",
+            "bones are not estimated: all users have the mean body (HMD-Poser)",
             set=("spec.shape_head=false",),
         ),
     ),
