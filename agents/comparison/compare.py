@@ -11,6 +11,7 @@ import json
 import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from agents.comparison.conditions import NOISES
@@ -100,9 +101,22 @@ def compare(args: CompareArgs) -> int:
         except KeyboardInterrupt:
             print(f"stopped; the same command goes on in {out}", file=sys.stderr)
             return INTERRUPTED
-    rows = [row for row, _ in scored]
-    if not rows:
+    if not scored:
         raise InputError("no row is complete yet", out, "leave --finished out")
+    _write_all(scored, context, out)
+    if filmed:
+        from agents.comparison.film import film
+        from agents.comparison.worst import worst_strips
+
+        shown = args.agents or representative(planned)
+        if film(shown, filmed, out, args.threads, args.starts[0]):
+            worst_strips([row for row, _ in compared(scored)], recordings, out, args.threads)
+    return 0
+
+
+def _write_all(scored: Sequence[Scored], context: dict[str, Any], out: Path) -> None:
+    """Write tables and figures of the rows, and print the tables."""
+    rows = [row for row, _ in scored]
     there = {row.agent for row in rows}
     records = context["agents"].items()
     context["agents"] = {name: record for name, record in records if name in there}
@@ -120,14 +134,6 @@ def compare(args: CompareArgs) -> int:
     for names in (*TABLES.values(), COSTS):
         print(table(rows, names, ends=True), end="\n\n")
     print(f"written to {out}")
-    if filmed:
-        from agents.comparison.film import film
-        from agents.comparison.worst import worst_strips
-
-        shown = args.agents or representative(planned)
-        if film(shown, filmed, out, args.threads, args.starts[0]):
-            worst_strips([row for row, _ in compared(scored)], recordings, out, args.threads)
-    return 0
 
 
 def _simulated(agent: str) -> bool:

@@ -207,13 +207,7 @@ def calibrate(
     if tilt < np.cos(np.radians(30.0)):
         raise InputError("the headset is tilted", "calibration", "look straight ahead")
     eyes = float(head.position[2])
-    if height_m is None:
-        floor = floor_m or 0.0
-        height = (eyes - floor) / EYE_RATIO
-    else:
-        height, floor = height_m, floor_m or 0.0
-        if floor_m is None and abs(eyes - EYE_RATIO * height_m) > FLOOR_OFF_M:
-            floor = eyes - EYE_RATIO * height_m
+    height, floor = _height_and_floor(eyes, height_m, floor_m)
     looked = float(rot.heading(head.quat))
     found = Calibration(height, floor, looked)  # refuses a stature out of range
     standing = standing_clip(height)
@@ -235,6 +229,18 @@ def calibrate(
         axis = forearm_axis(palms, f"{side}_controller")
         mounts[f"{side}_controller"] = _hand_mount(side, hand, height, spot, turn, pose, axis)
     return Calibration(height, found.floor_m, heading, mounts)
+
+
+def _height_and_floor(
+    eyes: float, height_m: float | None, floor_m: float | None
+) -> tuple[float, float]:
+    """Stature and height of the floor, for eyes at a height in the devices' space; all in m."""
+    floor = floor_m or 0.0
+    if height_m is None:
+        return (eyes - floor) / EYE_RATIO, floor
+    if floor_m is None and abs(eyes - EYE_RATIO * height_m) > FLOOR_OFF_M:
+        floor = eyes - EYE_RATIO * height_m
+    return height_m, floor
 
 
 def _mount(offset: np.ndarray, turn: np.ndarray) -> Mount:

@@ -68,13 +68,7 @@ def estimated_pose(
         }.items():
             start[model.joint(f"{side}_{hinge}").qposadr[0]] = angle
 
-    tasks: list[mink.Task] = []
-    for name, place, turned in zip(names, position, quat, strict=True):
-        link = DEVICES[name].link
-        at, _ = device_poses(np.zeros((len(LINKS), 3)), _upright(), [name], height_m)
-        costs = _HAND_COSTS if link.endswith("hand") else _COSTS.get(link, _FOOT_COSTS)
-        goal = place - rot.quat_rotate(turned, at[0])
-        tasks.append(_task(link, goal, turned, costs))
+    tasks = _device_tasks(names, position, quat, height_m)
     if not any(DEVICES[name].link in FEET for name in names):
         for foot in FEET:
             place = spot + rot.quat_rotate(turn, standing.link_position[0, LINKS.index(foot)])
@@ -90,6 +84,20 @@ def estimated_pose(
         )
         configuration.integrate_inplace(speed, STEP_S)
     return _on_the_floor(model, configuration.q.copy(), height_m)
+
+
+def _device_tasks(
+    names: Sequence[str], position: np.ndarray, quat: np.ndarray, height_m: float
+) -> list[mink.FrameTask]:
+    """Tasks of the links that carry the devices."""
+    tasks = []
+    for name, place, turned in zip(names, position, quat, strict=True):
+        link = DEVICES[name].link
+        at, _ = device_poses(np.zeros((len(LINKS), 3)), _upright(), [name], height_m)
+        costs = _HAND_COSTS if link.endswith("hand") else _COSTS.get(link, _FOOT_COSTS)
+        goal = place - rot.quat_rotate(turned, at[0])
+        tasks.append(_task(link, goal, turned, costs))
+    return tasks
 
 
 def _upright() -> np.ndarray:
