@@ -5,10 +5,12 @@ from __future__ import annotations
 import csv
 import json
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from agents.training.loggers import check_logger, training_logger
 from questsim.cli import main
@@ -31,6 +33,24 @@ def test_every_logger_writes_csv_and_a_resumed_run_another_file(tmp_path):
     with files[1].open(newline="") as table:
         rows = list(csv.DictReader(table))
     assert [row["rollout/reward"] for row in rows] == ["0.24", "0.32"]
+
+
+def test_tensorboard_has_the_settings_of_a_run_beside_its_curves(tmp_path):
+    messages: Any = import_module("tensorboard.plugins.hparams.plugin_data_pb2")
+    folder = tmp_path / "run" / "teacher" / "tensorboard"
+    config = {"seed": 3, "learning": {"epochs": 4, "betas": (0.9, 0.99)}, "mirror": True}
+    training_logger(folder, "tensorboard", config).close()
+    (file,) = folder.glob("events.*")
+    content = EventAccumulator(str(file)).Reload().summary_metadata
+    start = content["_hparams_/session_start_info"].plugin_data.content
+    values = messages.HParamsPluginData.FromString(start).session_start_info.hparams
+    assert values["seed"].number_value == 3 and values["learning.epochs"].number_value == 4
+    assert (
+        values["mirror"].number_value == 1
+        and values["learning.betas"].string_value == "(0.9, 0.99)"
+    )
+    log_two(folder, "csv")
+    assert "hparams" not in (folder / "progress-2.csv").read_text()
 
 
 def rewards_in(file: Path) -> list[float]:

@@ -194,9 +194,11 @@ def tiny(out: Path, **options) -> TrainArgs:
     )
 
 
-def test_training_runs_its_stages_and_goes_on(clips, tmp_path):
+def test_training_runs_its_stages_and_goes_on(clips, tmp_path, capsys):
     out = tmp_path / "run"
     assert train(tiny(out)) == 0
+    expected = PRESETS[tiny(out).preset].expect
+    assert capsys.readouterr().out.startswith(f"preset {tiny(out).preset}: {expected}\n")
     record = yaml.safe_load((out / "run.yaml").read_text())
     assert record["format_version"] == 1
     assert record["args"]["seed"] == 0

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from stable_baselines3.common.logger import KVWriter, Logger, make_output_format
+from stable_baselines3.common.logger import HParam, KVWriter, Logger, make_output_format
 
 from questsim.errors import InputError
 
@@ -18,6 +18,8 @@ LogName = Literal["tensorboard", "wandb", "trackio", "csv"]
 PROJECT = "questsim"
 """Project of the runs in Weights & Biases and trackio; the libraries' own settings change it."""
 _RUN_ID = "wandb-id.txt"
+COMPARED = ("evaluation/score", "evaluation/tracked", "evaluation/link_error_cm", "rollout/reward")
+"""Curves whose last values TensorBoard lists beside the settings of a run."""
 
 
 def check_logger(log: LogName) -> None:
@@ -48,15 +50,31 @@ def training_logger(
     Args:
         folder: folder of the files; the one above it is the stage's, in the run's folder.
         log: see ``LogName``.
-        config: settings to show beside the curves.
+        config: settings to show beside the curves; TensorBoard's page HPARAMS compares runs by
+            them.
     """
     part = len(list(folder.glob("progress-*.csv"))) + 1
     writers: list[KVWriter] = [make_output_format("csv", str(folder), f"-{part}")]
     if log == "tensorboard":
-        writers.append(make_output_format("tensorboard", str(folder), f"-{part}"))
+        board = make_output_format("tensorboard", str(folder), f"-{part}")
+        if config:
+            table = HParam(flat(config), dict.fromkeys(COMPARED, 0.0))
+            board.write({"hparams": table}, {"hparams": ()}, 0)
+        writers.append(board)
     elif log != "csv":
         writers.append(RunWriter(log, folder, config or {}))
     return Logger(str(folder), writers)
+
+
+def flat(config: Mapping[str, Any], before: str = "") -> dict[str, bool | float | str]:
+    """Settings of nested mappings by names such as ``config.learning.epochs``; others as text."""
+    found: dict[str, bool | float | str] = {}
+    for name, value in config.items():
+        if isinstance(value, Mapping):
+            found |= flat(value, f"{before}{name}.")
+        else:
+            found[before + name] = value if isinstance(value, bool | int | float) else str(value)
+    return found
 
 
 class RunWriter(KVWriter):

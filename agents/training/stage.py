@@ -102,6 +102,7 @@ class Stage:
         before_iteration: called with the learner's steps; for schedules.
         beside: additional state saved with the learner's, for resuming.
         log: where curves go; see ``training_logger``.
+        settings: shown beside the curves, in addition to ``record``.
     """
 
     name: str
@@ -117,6 +118,7 @@ class Stage:
     before_iteration: Callable[[int], None] | None = None
     beside: dict[str, Any] = field(default_factory=dict)
     log: LogName = "tensorboard"
+    settings: dict[str, Any] = field(default_factory=dict)
     best_score: float = -1.0
     history: list[dict[str, float]] = field(default_factory=list)
 
@@ -180,7 +182,8 @@ class Stage:
         monitor.close()
 
     def _config(self) -> dict[str, Any]:
-        return self.record | {"stage": self.name, "num_envs": self.env.num_envs}
+        run = {"stage": self.name, "num_envs": self.env.num_envs}
+        return self.record | run | self.settings
 
     def _is_evaluated(self) -> bool:
         return bool(self.history) and self.history[-1]["steps"] == self.learner.num_timesteps

@@ -23,6 +23,7 @@ from agents.run_folder import (
     data_record,
     note_resume,
     only_training,
+    plain,
     read_run,
     refuse_existing,
     start_run,
@@ -133,6 +134,7 @@ def train_here(args: TrainArgs) -> int:
     stopper = Stopper()
     folder, cluster = only_training(args.out), _cluster(args)
     with folder, cluster, Display() as display, stopper.listening():
+        display.say(f"preset {args.preset}: {preset.expect}")
         for name in names:
             _run_stage(name, args, preset, clips, shown, begin_at, data, display, stopper, begin)
             if stopper.requested:
@@ -273,6 +275,7 @@ def _run_stage(
             must_improve=name == "finetune",
             before_iteration=_schedule(config, learner),
             log=args.log,
+            settings=plain(config),
         )
         if args.vary:
             redraw = redrawing(fresh, env, learner, draw, stage.beside)
