@@ -141,16 +141,30 @@ class EnvConfig:
         return tuple(range(1, self.future_frames + 1)) or (0,)
 
 
+_ONE_SIZE = "its MJCF has one size; write another file for another size"
+_FLAT = "the reference's feet are fitted to the ground with our avatar's legs"
+_NOT_OWN = {
+    "heights": _ONE_SIZE,
+    "unscaled_m": _ONE_SIZE,
+    "proportions": _ONE_SIZE,
+    "observe_proportions": _ONE_SIZE,
+    "body_preset": "masses, limits and damping are those of its MJCF",
+    "terrain": _FLAT,
+    "height_scan": _FLAT,
+    "objects": "their sizes and places are made for our avatar",
+}
+"""Options of our avatar alone, each with the reason."""
+
+
 def _check_own_body(config: EnvConfig) -> None:
     """Reject what only our avatar can do."""
     plain = EnvConfig()
-    for name in (
-        "heights", "terrain", "height_scan", "objects", "body_preset", "unscaled_m",
-        "proportions", "observe_proportions",
-    ):  # fmt: skip
+    for name, reason in _NOT_OWN.items():
         if getattr(config, name) != getattr(plain, name):
             raise InputError(
-                f"{name} does not go with a body of your own", "EnvConfig", f"leave {name} out"
+                f"{name} does not go with a body of your own: {reason}",
+                "EnvConfig",
+                f"leave {name} out",
             )
     if config.starts is not None and config.starts.estimate > 0.0:
         raise InputError(
