@@ -253,12 +253,15 @@ def test_rows_with_and_without_predictor_are_drawn_over_time(tmp_path):
         return Row("dragposer", scenario, 1, {}, {}, None), [Summary({}, curve=curve)]
 
     rows = [scored("4", 2.0), scored("4, no predictor", 5.0), scored("6", 1.0)]
-    assert predictor_pairs(rows) == [(rows[1], rows[0])]
-    assert not predictor_pairs(rows[:1])
+    assert predictor_pairs(rows, [0]) == [(rows[1], rows[0])]
+    assert not predictor_pairs(rows[:1], [0])
+    # A row with all clips is reduced to those of the other.
+    more = (rows[0][0], [*scored("4", 9.0)[1], *rows[0][1]])
+    assert predictor_pairs([more, rows[1]], [1]) == [(rows[1], rows[0])]
     times, errors = _over_time(rows[1][1])
     assert np.allclose(times, 0.1 * np.arange(10) + 0.05)
     assert np.allclose(errors, 5.0)
-    predictor_over_time(predictor_pairs(rows), tmp_path / "predictor.png")
+    predictor_over_time(predictor_pairs(rows, [0]), tmp_path / "predictor.png")
     assert (tmp_path / "predictor.png").stat().st_size > 1000
 
 

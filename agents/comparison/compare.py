@@ -103,6 +103,11 @@ def compare(args: CompareArgs) -> int:
             return INTERRUPTED
     if not scored:
         raise InputError("no row is complete yet", out, "leave --finished out")
+    places = {recording.name: place for place, recording in enumerate(recordings)}
+    fewer = [places[motion.name] for motion in _fewer(recordings, args)]
+    if pairs := predictor_pairs(scored, fewer):
+        with whole_file(out / PREDICTOR) as path:
+            predictor_over_time(pairs, path)
     _write_all(scored, context, out)
     if filmed:
         from agents.comparison.film import film
@@ -128,9 +133,6 @@ def _write_all(scored: Sequence[Scored], context: dict[str, Any], out: Path) -> 
     for name, draw in DRAWN.items():
         with whole_file(out / name) as path:
             draw(scored, path)
-    if pairs := predictor_pairs(scored):
-        with whole_file(out / PREDICTOR) as path:
-            predictor_over_time(pairs, path)
     for names in (*TABLES.values(), COSTS):
         print(table(rows, names, ends=True), end="\n\n")
     print(f"written to {out}")
@@ -188,11 +190,16 @@ def digest(agent: str) -> str:
     return whole.hexdigest()[:16]
 
 
+def _fewer(motions: Sequence[Motion], args: CompareArgs) -> list[Motion]:
+    """The motions of rows that are limited by ``--fewer-clips``."""
+    return choose_clips(motions, args.fewer_clips or len(motions))
+
+
 def _scored(
     plans: Sequence[Plan], motions: Sequence[Motion], args: CompareArgs, record: Record
 ) -> list[Scored]:
     """Compute what is missing and make all rows; times are measured at the end, in one pass."""
-    fewer = choose_clips(motions, args.fewer_clips or len(motions))
+    fewer = _fewer(motions, args)
     clips = {id(plan): motions if plan.plain else fewer for plan in plans}
     names = {key: [motion.name for motion in each] for key, each in clips.items()}
     if not args.finished:

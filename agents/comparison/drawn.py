@@ -124,15 +124,23 @@ def error_over_time(scored: Sequence[Scored], path: Path) -> None:
             axis.set_ylabel("MPJPE (cm)")
 
 
-def predictor_pairs(scored: Sequence[Scored]) -> list[tuple[Scored, Scored]]:
-    """Rows without temporal predictor, each with the row of the same scenario with it."""
+def predictor_pairs(scored: Sequence[Scored], fewer: Sequence[int]) -> list[tuple[Scored, Scored]]:
+    """Rows without temporal predictor, each with the row of the same scenario with it.
+
+    Args:
+        scored: all rows.
+        fewer: places, among all clips, of the clips that some rows are limited to. Where one row
+            of a pair has all clips and the other only these, both get these.
+    """
     rows = {(row.agent, row.scenario): (row, clips) for row, clips in scored}
-    names = [(agent, scenario, scenario + _WITHOUT) for agent, scenario in rows]
-    return [
-        (rows[agent, without], rows[agent, scenario])
-        for agent, scenario, without in names
-        if (agent, without) in rows
-    ]
+    pairs = []
+    for (agent, scenario), (row, clips) in rows.items():
+        if (agent, scenario + _WITHOUT) in rows:
+            without, its = rows[agent, scenario + _WITHOUT]
+            if len(clips) > len(its):
+                clips = [clips[place] for place in fewer]
+            pairs.append(((without, its), (row, clips)))
+    return pairs
 
 
 def predictor_over_time(pairs: Sequence[tuple[Scored, Scored]], path: Path) -> None:
