@@ -141,7 +141,8 @@ class Stepping(nn.Module):
         swing = _swing(state, weight_n)
         on_foot = (forces * swing[:, None, :, None]).repeat_interleave(LEG_DOFS // 2, dim=2)
         placed = (_lever(state, hinges, strength)[:, None] * on_foot).sum(-1)
-        turned = (_turn(state, hinges, strength, weight_n) * errors[:, 0, 1][:, None]).sum(-1)
+        moment = -(hinges[0] * errors[:, 0, 1][:, None]).sum(-1)
+        turned = moment * _hip_share(state, weight_n) * strength
         return torch.cat([placed.flatten(1), turned, swing], dim=1)
 
     def forward(self, terms: Tensor) -> Tensor:
@@ -177,7 +178,8 @@ class Placement(nn.Module):
         swing = _swing(state, weight_n)
         of_leg = swing.repeat_interleave(LEG_DOFS // 2, dim=1)[:, :, None]
         placed = _lever(state, hinges, strength)[:, :, :2] * of_leg
-        turned = _turn(state, hinges, strength, weight_n)
+        share = _hip_share(state, weight_n) * strength
+        turned = -hinges[0] * share[:, :, None]
         return torch.cat([placed.flatten(1), turned.flatten(1), swing], dim=1)
 
     def forward(self, terms: Tensor, asked: Tensor) -> Tensor:
@@ -209,11 +211,10 @@ def _lever(state: State, hinges: tuple[Tensor, Tensor], strength: Tensor) -> Ten
     return torch.linalg.cross(axes, foot - anchors) * strength[:, None]
 
 
-def _turn(state: State, hinges: tuple[Tensor, Tensor], strength: Tensor, weight_n: float) -> Tensor:
-    """``(n, 12, 3)`` action of the hips of the standing legs that turns the pelvis."""
+def _hip_share(state: State, weight_n: float) -> Tensor:
+    """Share ``(n, 12)`` of each hip hinge in turning the pelvis, by its leg's load; others 0."""
     load = state.load / (state.load.sum(1, keepdim=True) + SWING * weight_n)
-    share = load.repeat_interleave(LEG_DOFS // 2, dim=1) * HIPS
-    return -hinges[0] * (share * strength)[:, :, None]
+    return load.repeat_interleave(LEG_DOFS // 2, dim=1) * HIPS
 
 
 def _softness(softer: Tensor, swing: Tensor) -> Tensor:
