@@ -5,13 +5,14 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mocap_files import SMPL_JOINTS, standing, write_bvh
 from rig_styles import MIXAMO, RIGS
-from rigs import Rig, write_rig
+from rigs import TIPS, Rig, write_rig
 
 from questsim import rotations as rot
 from questsim.cli import main
@@ -152,6 +153,18 @@ def test_missing_toes_are_put_in_front_of_the_ankles(tmp_path):
         for side in ("left", "right"):
             ahead, left, up = motion.offsets[JOINTS.index(f"{side}_toe")]
             assert 0.08 < ahead < 0.2 and abs(left) < 0.03 and -0.08 < up < 0.0
+
+
+@pytest.mark.parametrize("pose", ["I", "own"])
+def test_ends_of_feet_straight_under_the_ankles_are_not_taken_for_toes(pose, tmp_path, monkeypatch):
+    monkeypatch.setitem(TIPS, "ankle", (0.004, 0.0, -0.08))
+    rig = replace(RIGS["Biovision"], pose=pose)
+    truth = write_rig(tmp_path / "a.bvh", rig)
+    motion, _ = read_motion(tmp_path / "a.bvh")
+    assert compare(motion, truth, rig)[1].max() < 6.0
+    for side in ("left", "right"):
+        ahead, left, up = motion.offsets[JOINTS.index(f"{side}_toe")]
+        assert 0.08 < ahead < 0.2 and abs(left) < 0.03 and -0.08 < up < 0.0
 
 
 def test_swapped_sides_are_refused_and_not_imported_mirrored(tmp_path):

@@ -16,14 +16,18 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from questsim.errors import InputError
+from questsim.motion.convert import global_pose
 from questsim.motion.joint_names import ARM, HEAD, HIPS, LEG, NECK, Name, fit, understand
 from questsim.motion.recording import Recording
+from questsim.motion.rest import some_frames, unit
 from questsim.motion.unsided import find_limbs
 from questsim.skeleton import JOINTS
 
 MAX_CHAIN = 9
 MIN_POINTS = 1.0
 """A chain with a lower score of names and lengths is not a limb."""
+MIN_FOOT_ANGLE = np.radians(25.0)
+"""The end of a foot that lies in the shin's line within this angle is under the ankle, no toe."""
 HELPER = 0.01
 """Decides between joints that fit equally well."""
 END = " End Site"
@@ -147,6 +151,7 @@ def _by_place(
 
 
 def _named(recording: Recording, found: dict[str, int], why: dict[str, str]) -> Roles:
+    found = _without_soles(recording, found)
     reasons = {}
     for joint in JOINTS:
         if joint not in found:
@@ -158,6 +163,27 @@ def _named(recording: Recording, found: dict[str, int], why: dict[str, str]) -> 
     if not ends:
         recording = _without_ends(recording)
     return Roles(joints, reasons, recording)
+
+
+def _without_soles(recording: Recording, found: dict[str, int]) -> dict[str, int]:
+    """Without ends of feet that are straight under the ankles: they do not say where toes are."""
+    soles = [
+        toe
+        for toe in ("left_toe", "right_toe")
+        if toe in found and recording.names[found[toe]].endswith(END)
+    ]
+    if not soles:
+        return found
+    place, _ = global_pose(some_frames(recording))
+    cosines = []
+    for toe in soles:
+        knee, ankle, end = (
+            place[:, found[toe.replace("toe", joint)]] for joint in ("knee", "ankle", "toe")
+        )
+        cosines.append(np.sum(unit(ankle - knee) * unit(end - ankle), axis=-1))
+    if np.median(cosines) < np.cos(MIN_FOOT_ANGLE):
+        return found
+    return {ours: joint for ours, joint in found.items() if ours not in soles}
 
 
 def _without_ends(recording: Recording) -> Recording:
