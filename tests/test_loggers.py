@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import sys
+import time
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -78,7 +79,10 @@ def test_weights_and_biases_offline_keeps_curves_and_continues_its_run(tmp_path,
     check_logger("wandb")
     folder = tmp_path / "run" / "teacher" / "curves"
     for first in (0, 16):
+        began = int(time.time())
         log_two(folder, "wandb", first)
+        while int(time.time()) == began:  # its folders are named by the second
+            time.sleep(0.05)
     files = sorted((folder / "wandb").glob("offline-run-*/run-*.wandb"))
     assert len({file.name for file in files}) == 1  # both parts have the same id
     rewards = [value for file in files for value in rewards_in(file)]
