@@ -36,7 +36,7 @@ UNTRAINED = (IK,)
 """Kinematic systems without weights."""
 DEFAULT_POLICY, DEFAULT_SYSTEM = "questsim", "hmdposer"
 """Default agent of the commands."""
-LIVE_POLICY = "questsim-robust"
+LIVE_POLICY = "questsim"
 """Default agent on a live headset: the best of validation clips with errors of the devices."""
 ESTIMATE_TRACKER = "estimate-tracker"
 """The policy that follows the poses of a kinematic system."""

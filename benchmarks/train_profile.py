@@ -81,7 +81,7 @@ def profile(stage: str, args: Any, teacher: Path | None) -> tuple[dict[str, floa
     )
     env = QuestVecEnv(clips(), env_config, args.envs, 0, args.threads)
     options = TrainArgs(out=Path(), threads=args.threads, teacher=teacher)
-    learner = make_learner(stage, options, config, env, seed=0)
+    learner = make_learner(stage, options, config, env, 0, print)
     for _ in range(2):  # the first iteration only measures observations, the second compiles
         learner.iterate(lambda *_: None, 0.0)
     clock = Clock()

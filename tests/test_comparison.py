@@ -258,7 +258,9 @@ def test_rows_with_and_without_predictor_are_drawn_over_time(tmp_path):
     # A row with all clips is reduced to those of the other.
     more = (rows[0][0], [*scored("4", 9.0)[1], *rows[0][1]])
     assert predictor_pairs([more, rows[1]], [1]) == [(rows[1], rows[0])]
-    times, errors = _over_time(rows[1][1])
+    curve = _over_time(rows[1][1])
+    assert curve is not None
+    times, errors = curve
     assert np.allclose(times, 0.1 * np.arange(10) + 0.05)
     assert np.allclose(errors, 5.0)
     predictor_over_time(predictor_pairs(rows, [0]), tmp_path / "predictor.png")

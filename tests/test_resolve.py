@@ -169,7 +169,7 @@ def test_shipped_agents_are_compared_in_the_order_of_the_tables():
     names = shipped_agents()
     assert names[:6] == ["ik", "hmdposer", "lgsik", "sparseposer", "dragposer", "lgsik-lengths"]
     assert names[6:12] == [f"{name}{PHYSICS}" for name in names[:6]]
-    assert names[12:] == ["questsim", "questsim-headset", "questsim-now", "questsim-robust"]
+    assert names[12:] == ["questsim", "questsim-headset", "questsim-now"]
 
 
 def test_random_agents_of_a_name_are_new_each_time():
