@@ -48,8 +48,8 @@ FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
     ),
     "training-wider.png": (
         ("wider, tracker, second part", "tracker, second part"),
-        ("wider, questsim-robust", "questsim-robust, with device errors, first part"),
-        ("wider, questsim-robust, last part", "questsim-robust, last part"),
+        ("wider, questsim-robust", "wide student, with device errors, first part"),
+        ("wider, questsim-robust, last part", "wide student, last part"),
     ),
     "training-estimates.png": (
         ("shown estimates", "shown estimates of HMD-Poser and LGSIK-Poser"),
