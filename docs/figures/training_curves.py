@@ -48,8 +48,10 @@ FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
     ),
     "training-wider.png": (
         ("wider, tracker, second part", "tracker, second part"),
-        ("wider, questsim-robust", "wide student, with device errors, first part"),
-        ("wider, questsim-robust, last part", "wide student, last part"),
+        ("wider, tracker from nothing", "tracker from nothing, not shipped"),
+        ("wider, student", "wide student, with device errors, first part"),
+        ("wider, student, last part", "wide student, last part"),
+        ("wider, questsim", "questsim, one student of two"),
     ),
     "training-estimates.png": (
         ("shown estimates", "shown estimates of HMD-Poser and LGSIK-Poser"),
