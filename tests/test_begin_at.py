@@ -98,9 +98,9 @@ def test_a_training_takes_the_estimates_of_its_motions_and_refuses_others(tmp_pa
     for changed, message in (
         ({"start_estimates": None}, "needs estimates"),
         ({"starts": Starts()}, "not used without a share"),
-        ({"start_estimates": str(far)}, "no estimate of this motion"),
+        ({"start_estimates": str(far)}, "not an estimate of this motion"),
     ):
         with pytest.raises(InputError, match=message):
             start_estimates(replace(args, **changed), CLIPS)
-    with pytest.raises(InputError, match="of none of --motions"):
+    with pytest.raises(InputError, match="not an estimate of one of --motions"):
         start_estimates(args, CLIPS[:1])

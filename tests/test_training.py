@@ -331,7 +331,7 @@ def test_run_folders_that_do_not_fit_are_refused(clips, tmp_path):
     with pytest.raises(InputError, match="--seed was 0, not 1"):
         train(tiny(out, resume=True, seed=1))
     clips.pop()
-    with pytest.raises(InputError, match="differ from those at its start"):
+    with pytest.raises(InputError, match="differ from those at the start of this run"):
         train(tiny(out, resume=True))
     record = yaml.safe_load((out / "run.yaml").read_text())
     (out / "run.yaml").write_text(yaml.safe_dump(record | {"format_version": 0}))
