@@ -160,8 +160,6 @@ class Stepping(nn.Module):
 class Placement(nn.Module):
     """Torques of the legs for the accelerations that a network asks of swing feet and pelvis."""
 
-    SIZE = LEG_DOFS * 5 + 2
-
     def __init__(self) -> None:
         super().__init__()
         self.softer = nn.Parameter(torch.full((LEG_DOFS,), SLIGHTLY))
@@ -169,7 +167,7 @@ class Placement(nn.Module):
     def terms(
         self, state: State, hinges: tuple[Tensor, Tensor], strength: Tensor, weight_n: float
     ) -> Tensor:
-        """Terms ``(n, SIZE)``; see ``Stepping.terms`` for the arguments.
+        """Terms ``(n, 62)``; see ``Stepping.terms`` for the arguments.
 
         They are the actions of the 12 hinges for a unit acceleration forwards and left of the foot
         of the hinge's leg, ``(12, 2)``, and for a unit rotation of the pelvis, ``(12, 3)``; then
