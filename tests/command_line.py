@@ -1,26 +1,32 @@
-"""The real command line, run in forks of the test process."""
+"""The real command line, run in forks of a process that has imported PyTorch and started no thread."""
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import runpy
-import signal
 import sys
-import time
 import traceback
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryFile
+from tempfile import TemporaryDirectory
 from typing import Any, NoReturn
 
-# Imported once, before the forks.
-import agents.commands.evaluate
-import agents.commands.train
-import agents.headset.command
-import agents.live.demo  # noqa: F401
 from questsim import cli
 
 ROOT = Path(__file__).parents[1]
+
+# A fork of the test process itself can hang: it copies locks that other threads hold at that moment.
+_PROCESSES = multiprocessing.get_context("forkserver")
+_PROCESSES.set_forkserver_preload(
+    [
+        "agents.commands.evaluate",
+        "agents.commands.train",
+        "agents.headset.command",
+        "agents.live.demo",
+        __name__,
+    ]
+)
 
 
 @dataclass
@@ -34,32 +40,39 @@ class Attempt:
 
 
 def questsim(folder: Path, *words: object, script: str | None = None) -> Attempt:
-    """Run ``questsim WORDS`` (or ``script WORDS``) in ``folder``.
-
-    The command runs in a fork of this process, so that PyTorch is imported once for all tests.
-    """
+    """Run ``questsim WORDS`` (or ``script WORDS``) in ``folder``."""
     before = set(folder.rglob("*"))
-    with TemporaryFile("w+") as out, TemporaryFile("w+") as err:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        child = os.fork()
-        if child == 0:
-            _become(folder, list(map(str, words)), script, out.fileno(), err.fileno())
-        code = _exit_code(child, seconds=600.0)  # a busy machine is not a failure
-        out.seek(0)
-        err.seek(0)
-        written = out.read(), err.read()
+    with TemporaryDirectory() as written:
+        out, err = Path(written, "out"), Path(written, "err")
+        given = folder, list(map(str, words)), script, dict(os.environ), out, err
+        command = _PROCESSES.Process(target=_become, args=given)
+        command.start()
+        command.join(600.0)  # a busy machine is not a failure
+        if command.exitcode is None:
+            command.kill()
+            command.join()
+            raise AssertionError(f"the command still ran after 600 s: {err.read_text()}")
+        texts = out.read_text(), err.read_text()
     left = {path.relative_to(folder).as_posix() for path in set(folder.rglob("*")) - before}
-    return Attempt(code, *written, left - {"MUJOCO_LOG.TXT"})
+    return Attempt(command.exitcode, *texts, left - {"MUJOCO_LOG.TXT"})
 
 
-def _become(folder: Path, words: list[str], script: str | None, out: int, err: int) -> NoReturn:
+def _become(
+    folder: Path,
+    words: list[str],
+    script: str | None,
+    environment: dict[str, str],
+    out: Path,
+    err: Path,
+) -> NoReturn:
     """Run the command in the forked child, and end it."""
     code: Any = 70
     try:
+        os.environ.clear()
+        os.environ.update(environment)
         os.chdir(folder)
-        os.dup2(out, 1)
-        os.dup2(err, 2)
+        for number, path in ((1, out), (2, err)):
+            os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT), number)
         sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
         path = str(ROOT / script) if script else cli.__file__
         sys.argv = [path, *words]
@@ -75,15 +88,3 @@ def _become(folder: Path, words: list[str], script: str | None, out: int, err: i
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code if isinstance(code, int) else 1)
-
-
-def _exit_code(child: int, seconds: float) -> int:
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
-        pid, status = os.waitpid(child, os.WNOHANG)
-        if pid:
-            return os.waitstatus_to_exitcode(status)
-        time.sleep(0.01)
-    os.kill(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    raise AssertionError(f"the command still ran after {seconds} s")

@@ -10,7 +10,7 @@ import pytest
 from questsim.errors import InputError
 from questsim.motion.mixture import read_mixture
 from questsim.motion.spec import load_motions, load_recordings
-from tests.command_line import ROOT, questsim
+from command_line import ROOT, questsim
 
 MIXTURE = """
 [[validation]]

@@ -19,7 +19,7 @@ from agents.training.specialists import Teachers, read_specialist
 from envs import QuestVecEnv
 from questsim.errors import InputError
 from questsim.motion.spec import load_motions
-from tests.command_line import questsim
+from command_line import questsim
 
 SMOKE = ("--preset", "smoke", "--stage", "student", "--teacher", "tracker", "--threads", 1)
 
