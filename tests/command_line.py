@@ -1,4 +1,4 @@
-"""The real command line, run in forks of a process that has imported PyTorch and started no thread."""
+"""The real command line, in forks of a process that has imported PyTorch and has no threads."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from questsim import cli
 
 ROOT = Path(__file__).parents[1]
 
-# A fork of the test process itself can hang: it copies locks that other threads hold at that moment.
+# A fork of the test process can hang: it copies the locks that other threads hold at that moment.
 _PROCESSES = multiprocessing.get_context("forkserver")
 _PROCESSES.set_forkserver_preload(
     [

@@ -6,11 +6,11 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from command_line import ROOT, questsim
 
 from questsim.errors import InputError
 from questsim.motion.mixture import read_mixture
 from questsim.motion.spec import load_motions, load_recordings
-from command_line import ROOT, questsim
 
 MIXTURE = """
 [[validation]]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from command_line import questsim
 from test_shipping import add_stage, data, new_run
 
 from agents import load_agent
@@ -19,7 +20,6 @@ from agents.training.specialists import Teachers, read_specialist
 from envs import QuestVecEnv
 from questsim.errors import InputError
 from questsim.motion.spec import load_motions
-from command_line import questsim
 
 SMOKE = ("--preset", "smoke", "--stage", "student", "--teacher", "tracker", "--threads", 1)
 
