@@ -9,7 +9,8 @@ import numpy as np
 
 from envs.avatar import Avatar
 from envs.config import EnvConfig
-from envs.randomisation import varied_models
+from envs.episode_random import within
+from envs.randomisation import Randomisation, varied_models
 from envs.world import build_world
 from questsim.body import Body
 from questsim.body_proportions import PARTS, Proportions, drawn_proportions
@@ -53,18 +54,19 @@ class Bodies:
         config: options of the task.
         count: number of simulations.
         heights: ``(C,)`` stature of each clip's person.
+        seed: of what is drawn.
 
     Attributes:
         of_clip, of_sim: ``(C,)``, ``(n,)`` which of the different proportions each has.
         proportions: of each simulation; None for the default body's.
-        heights: ``(n,)`` stature in metres of each avatar.
+        heights, user_heights: ``(n,)`` stature in metres of each avatar and of its user.
 
     Raises:
         InputError: there are more different proportions than simulations.
     """
 
     def __init__(
-        self, clips: Sequence[Clip], config: EnvConfig, count: int, heights: np.ndarray
+        self, clips: Sequence[Clip], config: EnvConfig, count: int, heights: np.ndarray, seed: int
     ) -> None:
         kinds = list(dict.fromkeys(clip.proportions for clip in clips))
         number = {body: k for k, body in enumerate(kinds)}
@@ -85,14 +87,16 @@ class Bodies:
         if any(kinds) and (config.terrain is not None or config.body is not None):
             what = "clips of other proportions than the default body's stand on a plane"
             raise InputError(what, "EnvConfig", "leave out terrain and body")
-        self.heights = self._spread(config, heights)
+        taller = config.unscaled_m + _drawn_differences(config.randomisation, count, seed)
+        self.heights = self._spread(config, heights, taller)
+        self.user_heights = self.heights - taller
 
     @property
     def differ(self) -> bool:
         """Whether simulations have bodies of different proportions."""
         return bool(self.of_clip.any())
 
-    def _spread(self, config: EnvConfig, heights: np.ndarray) -> np.ndarray:
+    def _spread(self, config: EnvConfig, heights: np.ndarray, taller: np.ndarray) -> np.ndarray:
         count = len(self.of_sim)
         if config.heights is not None:
             if count == 1:
@@ -103,7 +107,7 @@ class Bodies:
         for kind in np.unique(self.of_sim):
             sims, clips = (np.flatnonzero(of == kind) for of in (self.of_sim, self.of_clip))
             out[sims] = heights[clips[np.arange(len(sims)) * len(clips) // len(sims)]]
-        return out + config.unscaled_m
+        return out + taller
 
     def scale(self, config: EnvConfig) -> np.ndarray:
         """``o_scale`` of each simulation: the stature, and the parts if they are observed."""
@@ -126,6 +130,14 @@ class Bodies:
                 "options['clip']",
                 "let it be drawn, or use clips of one person",
             )
+
+
+def _drawn_differences(randomisation: Randomisation | None, count: int, seed: int) -> np.ndarray:
+    """``(n,)`` metres by which the avatars are taller than their users, in whole centimetres."""
+    if randomisation is None or not any(randomisation.unscaled_m):
+        return np.zeros(count)
+    numbers = np.random.default_rng([seed, 14]).random(count)
+    return np.round(within(numbers, randomisation.unscaled_m), 2)
 
 
 def models_of(

@@ -11,7 +11,7 @@ import numpy as np
 
 from envs.objects import WorldObject
 from envs.pushes import Pushes
-from envs.randomisation import Randomisation
+from envs.randomisation import MAX_UNSCALED_M, Randomisation
 from envs.starts import Starts
 from envs.terrain import Terrain
 from questsim.bodies import OwnBody
@@ -22,7 +22,6 @@ from questsim.sensors import DEVICES, SensorNoise, sensor_set
 
 MAX_FUTURE_FRAMES = 6
 MAX_ERROR_M = 1e6
-MAX_UNSCALED_M = 0.4
 MAX_SPREAD = 0.15
 SAMPLING = ("uniform", "failure", "kind")
 
@@ -108,8 +107,6 @@ class EnvConfig:
             raise InputError(
                 f"unscaled_m is {self.unscaled_m:g}, not within {MAX_UNSCALED_M} m", "EnvConfig"
             )
-        if self.unscaled_m and self.terrain is not None:
-            raise InputError("does not go with a terrain", "unscaled_m", "leave one out")
         if self.heights is not None:
             low, high = self.heights
             if not MIN_HEIGHT_M <= low <= high <= MAX_HEIGHT_M:
@@ -166,6 +163,12 @@ def _check_own_body(config: EnvConfig) -> None:
                 "EnvConfig",
                 f"leave {name} out",
             )
+    if config.randomisation is not None and any(config.randomisation.unscaled_m):
+        raise InputError(
+            f"randomisation.unscaled_m does not go with a body of your own: {_ONE_SIZE}",
+            "EnvConfig",
+            "leave it out",
+        )
     if config.starts is not None and config.starts.estimate > 0.0:
         raise InputError(
             "starts.estimate does not go with a body of your own",

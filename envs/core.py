@@ -96,9 +96,8 @@ class BatchSim:
         dofs, links = len(self.avatar.dofs), len(self.avatar.links)
         self._positions, self._velocities = 7 + dofs, 6 + dofs
         self._links = slice(1, 1 + links)
-        self.bodies = Bodies(clips, self.config, n, self.reference.heights)
-        self.heights = self.bodies.heights
-        self.user_heights = self.heights - self.config.unscaled_m
+        self.bodies = Bodies(clips, self.config, n, self.reference.heights, seed)
+        self.heights, self.user_heights = self.bodies.heights, self.bodies.user_heights
         ratio = self.user_heights / self.avatar.base_m
         estimates = estimates_of(begin_at, self.config, self.bodies, self.reference)
         self._build_batch(num_threads, seed)

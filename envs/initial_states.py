@@ -69,8 +69,8 @@ class InitialStates:
     ) -> None:
         self._reference, self._ratio, self._placement = reference, ratio, placement
         self._starts, self._estimates, self._clearance = starts, estimates, clearance
-        self._unscaled = config.unscaled_m != 0.0
-        self._heights, self._user_heights = bodies.heights, bodies.heights - config.unscaled_m
+        self._taller = bodies.heights / bodies.user_heights
+        self._unscaled = bool((self._taller != 1.0).any())
 
     def draw(
         self, ids: np.ndarray, rows: np.ndarray, clips: np.ndarray, target: Target
@@ -87,11 +87,12 @@ class InitialStates:
         qvel = self._reference.qvel[rows].astype(float)
         qpos[:, :3] *= scale
         qvel[:, :3] *= scale
-        if self._placement.field is not None:
-            self._put_on_ground(ids, target, qpos, qvel)
         # An avatar of another size than its user stands on the ground like the user.
-        if self._unscaled:
-            qpos[:, 2] *= self._heights[ids] / self._user_heights[ids]
+        more = (self._taller[ids] - 1.0) * qpos[:, 2] if self._unscaled else None
+        if self._placement.field is not None:
+            self._put_on_ground(ids, target, qpos, qvel, more)
+        elif self._unscaled:
+            qpos[:, 2] *= self._taller[ids]
         estimate = self._estimate(ids, rows, clips)
         self._starts.change(ids, clips, qpos, qvel, partial(self._clearance, ids), estimate)
         return qpos, qvel
@@ -113,12 +114,22 @@ class InitialStates:
         return has, qpos, qvel
 
     def _put_on_ground(
-        self, ids: np.ndarray, target: Target, qpos: np.ndarray, qvel: np.ndarray
+        self,
+        ids: np.ndarray,
+        target: Target,
+        qpos: np.ndarray,
+        qvel: np.ndarray,
+        more: np.ndarray | None,
     ) -> None:
-        """Move poses to their places and put their feet on the ground; no sole is below it."""
+        """Move poses to their places and put their feet on the ground; no sole is below it.
+
+        ``more``: by how many metres each pelvis is higher than the user's.
+        """
         place = self._placement.place[ids]
         qpos[:, :3], qpos[:, 7:] = target.position[ids, 0, 0], target.angles[ids, 0]
         qpos[:, 3:7] = rot.quat_multiply(turn_quat(place), qpos[:, 3:7])
         qvel[:, :3] = turned(place, qvel[:, :3])
         qvel[:, 2] += target.rise[ids, 0, 0]
+        if more is not None:
+            qpos[:, 2] += more
         qpos[:, 2] += np.maximum(-self._clearance(ids, qpos), 0.0)

@@ -11,6 +11,9 @@ from envs.episode_random import within
 from envs.pushes import check_range
 from questsim.skeleton import NUM_LINKS
 
+MAX_UNSCALED_M = 0.4
+"""Greatest difference between the statures of avatar and user, to either side."""
+
 
 @dataclass(frozen=True)
 class Randomisation:
@@ -19,6 +22,8 @@ class Randomisation:
     Attributes:
         friction: factor on the friction of avatar and floor.
         mass: factor on mass and inertia of all links.
+        unscaled_m: stature of the avatar minus that of its user, whose devices and motion are not
+            scaled to the avatar; beside ``EnvConfig.unscaled_m``.
         latency_frames: latency of the devices in whole frames.
         dropout: probability per frame that a dropout of a device begins.
         dropout_frames: duration of a dropout; the device then repeats its last pose.
@@ -38,6 +43,7 @@ class Randomisation:
 
     friction: tuple[float, float] = (1.0, 1.0)
     mass: tuple[float, float] = (1.0, 1.0)
+    unscaled_m: tuple[float, float] = (0.0, 0.0)
     latency_frames: tuple[int, int] = (0, 0)
     dropout: tuple[float, float] = (0.0, 0.0)
     dropout_frames: tuple[int, int] = (4, 18)
@@ -54,6 +60,7 @@ class Randomisation:
         for name, least, most in (
             ("friction", 0.05, 5.0),
             ("mass", 0.5, 2.0),
+            ("unscaled_m", -MAX_UNSCALED_M, MAX_UNSCALED_M),
             ("latency_frames", 0, 36),
             ("latency_jitter_frames", 0, 36),
             ("dropout", 0.0, 1.0),

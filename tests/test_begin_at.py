@@ -13,7 +13,10 @@ from agents.training.options import TrainArgs
 from agents.training.rollout_worker import BatchSpec
 from agents.training.start_estimates import start_estimates
 from envs import BatchSim, EnvConfig, Terrain
+from envs.randomisation import Randomisation
 from envs.starts import Starts
+from envs.terrain import TERRAINS
+from questsim.bodies import read_body
 from questsim.errors import InputError
 from questsim.motion.kinematics import clip_from_qpos
 from questsim.motion.library import save_library
@@ -69,8 +72,23 @@ def test_devices_are_not_scaled_to_an_avatar_of_another_size(difference: float) 
     assert (np.sign(difference) * head > 0.1).all()
     for i, clip in enumerate(CLIPS):
         np.testing.assert_allclose(sim.placed_clip(i, clip).qpos, clip.qpos, atol=1e-6)
-    with pytest.raises(InputError, match="does not go with a terrain"):
-        EnvConfig(unscaled_m=0.1, terrain=Terrain())
+    on = [BatchSim(CLIPS, replace(c.config, terrain=TERRAINS["rough"])) for c in (sim, own)]
+    for each in on:
+        each.reset()
+    lowest = [each.foot_clearance.min(axis=-1) for each in on]
+    assert np.abs(lowest[0] - lowest[1]).max() < 0.02
+
+
+def test_differences_of_stature_are_drawn_for_each_simulation() -> None:
+    drawn = Randomisation(unscaled_m=(-0.2, 0.1))
+    sim = BatchSim(CLIPS[:1], EnvConfig(randomisation=drawn), num_envs=40, seed=3)
+    taller = sim.heights - sim.user_heights
+    assert taller.min() < -0.15 and 0.05 < taller.max() <= 0.1
+    np.testing.assert_allclose(sim.user_heights, CLIPS[0].height_m)
+    with pytest.raises(InputError, match=r"unscaled_m .*-0.4"):
+        Randomisation(unscaled_m=(-0.5, 0.0))
+    with pytest.raises(InputError, match="one size"):
+        EnvConfig(randomisation=drawn, body=read_body("gymnasium-humanoid"))
 
 
 def test_first_answers_are_near_their_user() -> None:
