@@ -14,7 +14,7 @@ of the pelvis itself (``Placement``); the hinges' torques follow from them in th
 
 A foot is in swing while it carries less than ``SWING`` of the weight. Forces are per kilogram of
 the body, so that they hold for all statures. The start values were found by a search over the 20
-numbers of the head on training clips (docs/training.md).
+numbers of the head on training clips (docs/torque-head.md).
 """
 
 from __future__ import annotations
