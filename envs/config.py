@@ -64,6 +64,9 @@ class EnvConfig:
             of the logarithm of each part, 0 to 0.15; 0 for those of the clips. Each clip is moved
             to one of at most eight bodies, and a simulation plays the clips of its own body.
         observe_proportions: append the avatar's proportions to ``o_scale``.
+        teacher_devices: sensor set and number of future frames of a teacher that observes more of
+            the user than its student: appends ``o_teacher``, what ``o_user`` would be with them and
+            without device errors. None for no such teacher.
     """
 
     sensors: str = "H+2C"
@@ -88,21 +91,13 @@ class EnvConfig:
     body: OwnBody | None = None
     proportions: float = 0.0
     observe_proportions: bool = False
+    teacher_devices: tuple[str, int] | None = None
 
     def __post_init__(self) -> None:
         _check_forms(self)
-        imus = [name for name in sensor_set(self.sensors) if DEVICES[name].kind == "imu"]
-        if imus:
-            # An IMU does not measure its position, so the policy must not observe it.
-            raise InputError(
-                f"sensor set {self.sensors!r} has {imus[0]}, which reports no pose",
-                "EnvConfig",
-                "use a set without IMUs",
-            )
-        if not 0 <= self.future_frames <= MAX_FUTURE_FRAMES:
-            raise InputError(
-                f"future_frames is {self.future_frames}, not 0 to {MAX_FUTURE_FRAMES}", "EnvConfig"
-            )
+        _check_devices(self.sensors, self.future_frames)
+        if self.teacher_devices is not None:
+            _check_devices(*self.teacher_devices)
         if not abs(self.unscaled_m) <= MAX_UNSCALED_M:
             raise InputError(
                 f"unscaled_m is {self.unscaled_m:g}, not within {MAX_UNSCALED_M} m", "EnvConfig"
@@ -135,7 +130,28 @@ class EnvConfig:
     @property
     def frame_offsets(self) -> tuple[int, ...]:
         """Frames ahead of the present that o_user contains."""
-        return tuple(range(1, self.future_frames + 1)) or (0,)
+        return offsets_of(self.future_frames)
+
+
+def offsets_of(future_frames: int) -> tuple[int, ...]:
+    """Frames ahead of the present that are observed: the future ones, or only the present one."""
+    return tuple(range(1, future_frames + 1)) or (0,)
+
+
+def _check_devices(sensors: str, future_frames: int) -> None:
+    """Reject sensors that a policy cannot observe, and too many future frames."""
+    imus = [name for name in sensor_set(sensors) if DEVICES[name].kind == "imu"]
+    if imus:
+        # An IMU does not measure its position, so the policy must not observe it.
+        raise InputError(
+            f"sensor set {sensors!r} has {imus[0]}, which reports no pose",
+            "EnvConfig",
+            "use a set without IMUs",
+        )
+    if not 0 <= future_frames <= MAX_FUTURE_FRAMES:
+        raise InputError(
+            f"future_frames is {future_frames}, not 0 to {MAX_FUTURE_FRAMES}", "EnvConfig"
+        )
 
 
 _ONE_SIZE = "its MJCF has one size; write another file for another size"
@@ -214,6 +230,14 @@ def _check_forms(config: EnvConfig) -> None:
     check("body_preset", f"one of {sorted(PRESETS)}", lambda v: v in [*PRESETS])
     check("sampling", f"one of {list(SAMPLING)}", lambda v: v in [*SAMPLING])
     check("future_frames", "a whole number", _whole)
+    check(
+        "teacher_devices",
+        "the name of a sensor set and a number of future frames",
+        lambda v: (
+            v is None
+            or (isinstance(v, tuple) and len(v) == 2 and isinstance(v[0], str) and _whole(v[1]))
+        ),
+    )
     check("max_error_m", "metres", _number)
     check("unscaled_m", "metres", _number)
     check("proportions", "a number", _number)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from envs import footing, kernels
-from envs.config import EnvConfig
+from envs.config import EnvConfig, offsets_of
 from envs.kernel_arguments import (
     Devices,
     Episodes,
@@ -34,13 +34,14 @@ _NOW = np.zeros(1, np.int64)
 
 
 class View(NamedTuple):
-    """A reference, its present target, and the observation of it."""
+    """A reference, its present target, the observation of it, and the teacher's devices."""
 
     poses: ReferencePoses
     rows: ReferenceRows
     devices: Devices
     target: Target
     observation: np.ndarray
+    teacher: tuple[np.ndarray, np.ndarray]
 
 
 class KernelRunner:
@@ -87,6 +88,8 @@ class KernelRunner:
         shows = config.privileged_frames if config.privileged else ()
         self._ahead, self._legs = np.unique((0, 1, *shows) if shows else (0,)), legs()
         offsets = np.array(shows, np.int64)
+        teacher = config.teacher_devices
+        self._teacher_offsets = np.array(offsets_of(teacher[1]) if teacher else (), np.int64)
         self._privileged = Privileged(offsets, np.searchsorted(self._ahead, offsets))
         self.views = tuple(self._view(config, around, reference) for reference in references)
         sizes = self.views[0].target.angles.shape[2], self.views[0].target.position.shape[2]
@@ -110,6 +113,7 @@ class KernelRunner:
             ),
             Target.of(n, len(self._ahead), poses.qpos.shape[1] - 7, poses.position.shape[1]),
             np.zeros((n, observation_size(self.layout)), np.float32),
+            (reference.teacher_position, reference.teacher_quat),
         )
 
     def fill_targets(self, ids: np.ndarray) -> None:
@@ -172,6 +176,11 @@ class KernelRunner:
                 kernels.scan(
                     first, last, ids, self._state, SCAN_POINTS, self._ground, self.floor,
                     self.layout["height_scan"].start, view.observation,
+                )  # fmt: skip
+            if "o_teacher" in self.layout:
+                kernels.observe_exactly(
+                    first, last, ids, self._state, self._episodes, *view.teacher,
+                    self._teacher_offsets, self.layout["o_teacher"].start, view.observation,
                 )  # fmt: skip
 
     def close(self) -> None:

@@ -70,6 +70,16 @@ def _noise(key, number):
 
 
 @jit
+def _exact_device(position, quat, scale, place, view, out, at):
+    """Write a device's pose without errors to out[at:at + 9]."""
+    c, s, clip_c, clip_s, root_x, root_y = view
+    x, y = placed(place, position[0] * scale, position[1] * scale)
+    # Device heights are above the user's own floor.
+    turn_back(c, s, x - root_x, y - root_y, position[2] * scale, out, at)
+    _columns(clip_c, clip_s, quat[0], quat[1], quat[2], quat[3], out, at + 3)
+
+
+@jit
 def _faulty_device(devices, i, d, row, frame, scale, place, view, out, at):
     """Write the pose of device ``d`` of a row, with noise and mounting errors, to out[at:at + 9].
 
@@ -186,17 +196,9 @@ def observe(
                     )  # fmt: skip
                     at += 9
                     continue
-                x, y = placed(
-                    place[i],
-                    dev_position[row, d, 0] * scale,
-                    dev_position[row, d, 1] * scale,
-                )
-                # Device heights are above the user's own floor.
-                z = dev_position[row, d, 2] * scale
-                turn_back(c, s, x - root_x, y - root_y, z, out, at)
-                _columns(
-                    clip_c, clip_s, devices.quat[row, d, 0], devices.quat[row, d, 1],
-                    devices.quat[row, d, 2], devices.quat[row, d, 3], out, at + 3,
+                _exact_device(
+                    dev_position[row, d], devices.quat[row, d], scale, place[i],
+                    (c, s, clip_c, clip_s, root_x, root_y), out, at,
                 )  # fmt: skip
                 at += 9
         for k in range(episodes.scale.shape[1]):
@@ -261,6 +263,45 @@ def observe(
                     out, at + 9,
                 )  # fmt: skip
                 at += 12
+
+
+@jit
+def observe_exactly(
+    first: int,
+    last: int,
+    ids: np.ndarray,
+    state: State,
+    episodes: Episodes,
+    position: np.ndarray,
+    quat: np.ndarray,
+    offsets: np.ndarray,
+    at: int,
+    obs: np.ndarray,
+) -> None:
+    """Write devices without errors and latency to ``obs[ids[first:last], at:]``.
+
+    Args:
+        first, last, ids, state, episodes, obs: as of ``observe``.
+        position, quat: ``(F, D, 3)``, ``(F, D, 4)`` of the devices in each reference row.
+        offsets: ``(k,)`` frames ahead.
+        at: first column.
+    """
+    frame, end, place = episodes.frame, episodes.end, episodes.place
+    for index in range(first, last):
+        i = ids[index]
+        qpos = state.qpos[i]
+        c, s = heading(qpos[3], qpos[4], qpos[5], qpos[6])
+        clip_c = c * place[i, 2] + s * place[i, 3]
+        clip_s = s * place[i, 2] - c * place[i, 3]
+        column = at
+        for k in range(offsets.shape[0]):
+            row = min(frame[i] + offsets[k], end[i] - 1)
+            for d in range(position.shape[1]):
+                _exact_device(
+                    position[row, d], quat[row, d], episodes.ratio[i], place[i],
+                    (c, s, clip_c, clip_s, qpos[0], qpos[1]), obs[i], column,
+                )  # fmt: skip
+                column += 9
 
 
 @jit

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from envs.avatar import avatar_of
-from envs.config import EnvConfig
+from envs.config import EnvConfig, offsets_of
 from questsim.body_proportions import PARTS
 from questsim.sensors import sensor_set
 from questsim.skeleton import FEET
@@ -35,6 +35,8 @@ def observation_layout(config: EnvConfig) -> dict[str, slice]:
 
     ``"height_scan"``, if the config asks for it, is the height of the ground at ``SCAN_POINTS``.
 
+    ``"o_teacher"``, with ``teacher_devices``, is ``o_user`` of those devices without errors.
+
     The numbers are those of our avatar; another body has its own hinges and links.
     """
     avatar = avatar_of(config.body)
@@ -53,7 +55,7 @@ def observation_layout(config: EnvConfig) -> dict[str, slice]:
         layout[name] = slice(at, at + size)
         at += size
     layout["o_sim"] = slice(0, at)
-    user = len(config.frame_offsets) * len(sensor_set(config.sensors)) * POSE_SIZE
+    user = _user_size(config.sensors, config.future_frames)
     layout["o_user"] = slice(at, at + user)
     at += user
     scale = 1 + (len(PARTS) if config.observe_proportions else 0)
@@ -71,7 +73,14 @@ def observation_layout(config: EnvConfig) -> dict[str, slice]:
         at += 12 * links
     if config.height_scan:
         layout["height_scan"] = slice(at, at + len(SCAN_POINTS))
+        at += len(SCAN_POINTS)
+    if config.teacher_devices is not None:
+        layout["o_teacher"] = slice(at, at + _user_size(*config.teacher_devices))
     return layout
+
+
+def _user_size(sensors: str, future_frames: int) -> int:
+    return len(offsets_of(future_frames)) * len(sensor_set(sensors)) * POSE_SIZE
 
 
 def observation_size(layout: dict[str, slice]) -> int:

@@ -36,6 +36,7 @@ class Reference:
             unless the config is privileged.
         steps: stance phases of the feet; empty on a plane, which does not need them.
         dev_position, dev_quat: ``(F, D, ...)`` poses of the devices that the policy observes.
+        teacher_position, teacher_quat: the same of ``teacher_devices``; ``(F, 0, ...)`` without.
     """
 
     names: tuple[str, ...]
@@ -53,6 +54,8 @@ class Reference:
     steps: Footsteps
     dev_position: np.ndarray
     dev_quat: np.ndarray
+    teacher_position: np.ndarray
+    teacher_quat: np.ndarray
 
     @property
     def poses(self) -> ReferencePoses:
@@ -86,6 +89,7 @@ class Reference:
         avatar = avatar_of(config.body)
         common = avatar.clips(clips, config.body)
         devices = [_devices(clip, config, seed, i) for i, clip in enumerate(common)]
+        of_teacher = [_teacher_devices(clip, config) for clip in common]
 
         def rows(arrays: Sequence[np.ndarray]) -> np.ndarray:
             # One memory layout, so that the loops are compiled only once.
@@ -107,6 +111,8 @@ class Reference:
             steps=footsteps_of(common if config.terrain is not None else ()),
             dev_position=rows([position for position, _ in devices]),
             dev_quat=rows([quat for _, quat in devices]),
+            teacher_position=rows([position for position, _ in of_teacher]),
+            teacher_quat=rows([quat for _, quat in of_teacher]),
         )
 
 
@@ -185,9 +191,18 @@ def _key(clip: Clip, preset: str) -> bytes:
 
 
 def _devices(clip: Clip, config: EnvConfig, seed: int, index: int) -> tuple[np.ndarray, np.ndarray]:
-    names = sensor_set(config.sensors)
-    links = avatar_of(config.body).our_links(clip.link_position, clip.link_quat)
-    position, quat = device_poses(*links, names, clip.height_m)
+    position, quat = _exact_devices(clip, config, config.sensors)
     if config.noise is None:
         return position, quat
     return config.noise.apply(position, quat, np.random.default_rng([seed, index]))
+
+
+def _teacher_devices(clip: Clip, config: EnvConfig) -> tuple[np.ndarray, np.ndarray]:
+    if config.teacher_devices is None:
+        return np.zeros((len(clip), 0, 3)), np.zeros((len(clip), 0, 4))
+    return _exact_devices(clip, config, config.teacher_devices[0])
+
+
+def _exact_devices(clip: Clip, config: EnvConfig, sensors: str) -> tuple[np.ndarray, np.ndarray]:
+    links = avatar_of(config.body).our_links(clip.link_position, clip.link_quat)
+    return device_poses(*links, sensor_set(sensors), clip.height_m)

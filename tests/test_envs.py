@@ -15,7 +15,9 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from envs import BatchSim, EnvConfig, KinematicVecEnv, QuestEnv, QuestVecEnv, QuestVectorEnv
 from envs.layout import observation_layout
+from envs.randomisation import REAL_DEVICES
 from envs.sampler import Sampler
+from envs.terrain import Terrain
 from questsim import reward
 from questsim import rotations as rot
 from questsim.body import build_body
@@ -437,3 +439,21 @@ def test_headset_alone_drops_the_controllers_from_the_observation() -> None:
     np.testing.assert_array_equal(
         alone.observation[:, alone.layout["o_user"]].reshape(3, 6, 9), headset
     )
+
+
+def test_a_teacher_observes_its_own_devices_without_errors_beside_its_students() -> None:
+    own = EnvConfig(sensors="H", future_frames=0, teacher_devices=("H+2C", 6))
+    config = replace(own, randomisation=REAL_DEVICES, terrain=Terrain("rough", size_m=16.0))
+    sim = BatchSim(CLIPS, config, num_envs=4, seed=2)
+    exact = BatchSim(CLIPS, replace(EnvConfig(), terrain=config.terrain), num_envs=4, seed=2)
+    for each in (sim, exact):
+        each.reset()
+        each.step(np.zeros((4, 33)))
+    assert "o_teacher" not in exact.layout
+    np.testing.assert_array_equal(
+        sim.observation[:, sim.layout["o_teacher"]], exact.observation[:, exact.layout["o_user"]]
+    )
+    assert np.abs(sim.observation[:, sim.layout["o_user"]]).max() > 0.0
+    for wrong, message in (((1, 6), "takes the name"), (("H", 99), "future_frames is 99")):
+        with pytest.raises(InputError, match=message):
+            replace(own, teacher_devices=wrong)

@@ -105,6 +105,21 @@ def test_a_student_learns_from_a_specialist_and_its_record_says_so(tmp_path: Pat
     assert set(record["behind"]) == {"teacher", "tracker:st*"}
 
 
+def test_a_student_learns_from_a_student_of_more_devices(tmp_path: Path) -> None:
+    words = (
+        "train", "--preset", "smoke", "--stage", "student", "--threads", 1, "--sensors", "H",
+        "--future-frames", 0, "--motions", "synthetic:stand", "--steps", 64, "--envs", 4,
+        "--out", "mine", "--teacher", "questsim",
+    )  # fmt: skip
+    run = questsim(tmp_path, *words, "--specialists", "questsim-headset:stand")
+    assert run.code == 2
+    assert "neither the student's devices nor those of the first teacher" in run.err
+    run = questsim(tmp_path, *words)
+    assert run.code == 0, run.err
+    student = load_agent(str(tmp_path / "mine"))
+    assert (student.needs.sensors, student.needs.future_frames) == ("H", 0)
+
+
 def test_a_card_has_the_trainings_of_the_specialists(tmp_path: Path) -> None:
     record, steps = data(), data("bandai-namco-2:train", **{"CC-BY-NC-4.0": 10})
     teacher = new_run(tmp_path / "general", record)

@@ -41,7 +41,7 @@ class PolicyAgent:
 
     def bind(self, env: Any) -> None:
         """Take the columns of the policy's inputs from ``env.layout``; see ``Agent.bind``."""
-        config, layout = getattr(env, "config", None), Layout.of(env.layout)
+        config, layout = getattr(env, "config", None), Layout.of(self.blocks(env.layout))
         check_body(self.name, self.needs.body, getattr(config, "body", None))
         layout.check_provides(self.policy.layout, self.name)
         preset = getattr(config, "body_preset", self.needs.body_preset)
@@ -52,6 +52,10 @@ class PolicyAgent:
                 "make the environment with the policy's own",
             )
         self.policy.use_layout(layout)
+
+    def blocks(self, layout: dict[str, slice]) -> dict[str, slice]:
+        """The blocks of an environment's observation, by the names under which it reads them."""
+        return layout
 
     def reset(self, n: int) -> None:
         """Does nothing: the policy has no state."""

@@ -21,6 +21,7 @@ from questsim.errors import InputError
 
 if TYPE_CHECKING:
     from agents.training.cluster import ActorPool
+    from agents.training.options import TrainArgs
 
 OPTION = "--specialists"
 BATCH = 256
@@ -58,7 +59,7 @@ def read_specialist(text: str) -> Specialist:
 
 
 def load_teacher(where: Path, env: QuestVecEnv | ActorPool, option: str) -> PolicyAgent:
-    """A teacher that acts in ``env``: it observes the reference, or the student's own devices.
+    """A teacher that acts in ``env``: it observes the reference, or devices of the user.
 
     Args:
         where: a run, stage or policy folder.
@@ -70,13 +71,41 @@ def load_teacher(where: Path, env: QuestVecEnv | ActorPool, option: str) -> Poli
     """
     agent = load_policy(find_teacher(where))
     needs, config = agent.needs, env.config
-    found = (config.sensors, config.future_frames)
-    if not needs.privileged and (needs.sensors, needs.future_frames) != found:
-        what = f"observes {needs.sensors} with {needs.future_frames} future frames, the student "
-        fix = "give a teacher of the same devices, or one that observes the reference"
-        raise InputError(f"{what}{found[0]} with {found[1]}", f"{option} {where}", fix)
+    devices = (needs.sensors, needs.future_frames)
+    if not needs.privileged and devices != (config.sensors, config.future_frames):
+        if devices != config.teacher_devices:
+            raise InputError(
+                f"observes {devices[0]} with {devices[1]} future frames, neither the student's "
+                "devices nor those of the first teacher",
+                f"{option} {where}",
+                "give teachers of the same devices",
+            )
+        agent = _OfOtherDevices(agent.policy, needs, agent.name, agent.card)
     agent.bind(env)
     return agent
+
+
+class _OfOtherDevices(PolicyAgent):
+    """A teacher that observes other devices, or more future frames, than its student."""
+
+    def blocks(self, layout: dict[str, slice]) -> dict[str, slice]:
+        return {**layout, "o_user": layout["o_teacher"]}
+
+
+def devices_of_teachers(args: TrainArgs) -> tuple[str, int] | None:
+    """Devices of a student's teachers where they are not the student's own; else None.
+
+    Raises:
+        InputError: there is no such teacher.
+    """
+    where = [*([args.teacher] if args.teacher else [])]
+    where += [read_specialist(text).where for text in args.specialists]
+    for folder in where:
+        needs = load_policy(find_teacher(folder)).needs
+        devices = (needs.sensors, needs.future_frames)
+        if not needs.privileged and devices != (args.sensors, args.future_frames):
+            return devices
+    return None
 
 
 class Teachers:

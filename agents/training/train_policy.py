@@ -29,6 +29,7 @@ from agents.run_folder import (
     start_run,
 )
 from agents.training.cluster import ActorPool
+from agents.training.dagger import DaggerConfig
 from agents.training.fresh_motions import REDRAW_STEPS, FreshMotions, check_share, redrawing
 from agents.training.learner import Learner
 from agents.training.loggers import check_logger
@@ -39,7 +40,7 @@ from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PRESETS, PPOConfig, Preset, StageConfig, shown_estimates
 from agents.training.ray_session import ray_cluster, ray_runs
 from agents.training.rollout_worker import BatchSpec
-from agents.training.specialists import read_specialist
+from agents.training.specialists import devices_of_teachers, read_specialist
 from agents.training.stage import Budget, Stage, Stopper
 from agents.training.start_estimates import start_estimates
 from agents.training.training_clips import (
@@ -291,6 +292,7 @@ def _run_stage(
 
 
 def _env_config(args: TrainArgs, preset: Preset, config: StageConfig) -> EnvConfig:
+    devices = devices_of_teachers(args) if isinstance(config.learning, DaggerConfig) else None
     return EnvConfig(
         sensors=args.sensors,
         future_frames=args.future_frames,
@@ -308,6 +310,7 @@ def _env_config(args: TrainArgs, preset: Preset, config: StageConfig) -> EnvConf
         body=None if args.body is None else read_body(args.body),
         proportions=args.proportions,
         observe_proportions=args.observe_proportions,
+        teacher_devices=devices,
     )
 
 
