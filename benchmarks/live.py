@@ -12,7 +12,8 @@ times of the clock stand those of the processor, which other programs do not len
 With ``--motions`` it measures instead the cost of a calibrated start. It compares the success on
 clips between two starts: in the pose of the clip's first frame, as in every evaluation; and from a
 user who stands still for calibration and then performs the clip, with the body unknown. Target: at
-most 3 points less.
+most 3 points less. It also measures how far apart the links of the two avatars are in the same
+frames, after the first second: whether the live avatar moves as the evaluated one does.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import resource
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -119,8 +121,19 @@ def starts(agent: str, clips: Sequence[Clip]) -> dict[str, float]:
         clips: clips to follow.
     """
     loaded = load_agent(agent)
-    scored = np.array([r.completed for r in roll_out(loaded, clips, env_config(loaded))])
-    calibrated = np.array([follows(agent, clip) for clip in clips])
+    config = env_config(loaded)
+    scored = np.array([r.completed for r in roll_out(loaded, clips, config)])
+    live = [followed(agent, clip) for clip in clips]
+    calibrated = np.array([each.completed for each in live])
+    # The same frames: a user's stream has a clip without its slow first and last half second.
+    same = zip(live, roll_out(loaded, [each.clip for each in live], config), strict=True)
+    apart = [
+        np.linalg.norm(positions - rollout.link_position[number], axis=-1).mean()
+        for each, rollout in same
+        if each.completed and rollout.completed
+        for number, positions in each.links.items()
+        if FPS <= number < len(rollout.link_position)
+    ]
     return {
         "clips": len(clips),
         "scored_start_percent": 100.0 * float(scored.mean()),
@@ -128,14 +141,30 @@ def starts(agent: str, clips: Sequence[Clip]) -> dict[str, float]:
         "points_lost": 100.0 * float(scored.mean() - calibrated.mean()),
         "points_goal": 3.0,
         "lost_in_both": int((~scored & ~calibrated).sum()),
+        "avatars_apart_cm": 100.0 * float(np.mean(apart)),
     }
 
 
-def follows(agent: str, clip: Clip) -> bool:
-    """Whether a calibrated avatar follows a clip: it does not fall, and stays within 0.5 m."""
+@dataclass(frozen=True)
+class Followed:
+    """A clip that a calibrated avatar has followed.
+
+    Attributes:
+        clip: the part that the user performs at full speed.
+        completed: whether the avatar did not fall and stayed within 0.5 m.
+        links: positions ``(16, 3)`` of the avatar's links by the number of the clip's frame.
+    """
+
+    clip: Clip
+    completed: bool
+    links: dict[int, np.ndarray]
+
+
+def followed(agent: str, clip: Clip) -> Followed:
+    """Follow a clip with a calibrated avatar."""
     user = SyntheticUser(clip.height_m, noise_m=0.001)
     frames, (span,) = stream(user, [clip], 72.0)
-    follower = Follower(agent)
+    follower, links = Follower(agent), dict[int, np.ndarray]()
     follower.calibrate([frame for frame in frames if frame.time_s < STILL_S])
     for frame in frames:
         pose = follower.step(frame)
@@ -144,8 +173,9 @@ def follows(agent: str, clip: Clip) -> bool:
             continue
         apart = np.linalg.norm(pose.link_position - span.clip.link_position[number], axis=-1)
         if apart.mean() > MAX_LINK_ERROR_M or any("fell" in event for event in pose.events):
-            return False
-    return True
+            return Followed(span.clip, False, links)
+        links[number] = pose.link_position
+    return Followed(span.clip, True, links)
 
 
 if __name__ == "__main__":

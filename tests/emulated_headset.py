@@ -53,6 +53,15 @@ function place(row) {
     hand.quaternion.set(...quat);
   }
 }
+// Meanwhile the last row is shown again and again.
+let still = false;
+window.pressBoth = async (name, ms) => {
+  still = true;
+  const hands = Object.values(device.controllers);
+  for (const hand of hands) hand.updateButtonValue(name, 1);
+  await new Promise((done) => setTimeout(done, ms));
+  for (const hand of hands) hand.updateButtonValue(name, 0);
+};
 const request = navigator.xr.requestSession.bind(navigator.xr);
 navigator.xr.requestSession = async (...words) => {
   window.features = words[1].optionalFeatures;
@@ -68,8 +77,9 @@ navigator.xr.requestSession = async (...words) => {
         };
       }
     }
-    if (current >= 0 && current < rows.length) {
-      Object.defineProperty(frame, "predictedDisplayTime", { value: 1000 * rows[current].t });
+    if (still || current >= 0 && current < rows.length) {
+      const { t } = rows[Math.min(current, rows.length - 1)];
+      Object.defineProperty(frame, "predictedDisplayTime", { value: 1000 * t });
       call(time, frame);
     } else next(shown);
     // What is set now is seen in the next frame.
@@ -80,6 +90,28 @@ navigator.xr.requestSession = async (...words) => {
   });
   return session;
 };
+"""
+
+PRESS_BOTH = "pressBoth('trigger', 2500)"
+"""Press the triggers of both controllers for as long as a new measurement wants."""
+
+# A glTF file in three.js, its animation at some times: the places of named nodes in the world.
+PLAYER = """
+<script type="importmap">{"imports": {
+  "three": "/three/build/three.module.js", "three/addons/": "/three/examples/jsm/"}}</script>
+<script type="module">
+import { AnimationMixer, Vector3 } from "three";
+import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
+const file = await new GLTFLoader().loadAsync("/motion.glb");
+const mixer = new AnimationMixer(file.scene);
+mixer.clipAction(file.animations[0]).play();
+window.placesAt = (names, times) => times.map((time) => {
+  mixer.setTime(time);
+  file.scene.updateMatrixWorld(true);
+  return names.map((name) =>
+    file.scene.getObjectByName(name).getWorldPosition(new Vector3()).toArray());
+});
+</script>
 """
 
 
@@ -152,7 +184,39 @@ def wear(tab: Any, address: str, rows: Sequence[dict[str, Any]], bare: bool = Fa
         EMULATOR.replace("ROWS", json.dumps(rows)).replace("BARE", json.dumps(bare))
     )
     tab.goto(address)
+    polled(tab, "document.getElementById('VRButton') && true")
     tab.evaluate("document.getElementById('VRButton').click()")
     polled(tab, "document.getElementById('text').textContent.startsWith('stand')")
     tab.evaluate("startRows()")
     polled(tab, "rowsDone()", 600.0)
+
+
+def glb_links(
+    context: Any, glb: bytes, names: Sequence[str], times_s: Sequence[float] | np.ndarray
+) -> np.ndarray:
+    """Play a GLB file in three.js: places ``(T, N, 3)`` of nodes in the axes of the file.
+
+    Args:
+        context: a browser, see ``browser.new_browser``.
+        glb: the file.
+        names: of the N nodes.
+        times_s: T times in seconds.
+    """
+    three = IWER.parents[2] / "three"
+
+    def answer(route: Any) -> None:
+        path = route.request.url.removeprefix("http://three.invalid")
+        if path.startswith("/three/"):
+            route.fulfill(path=three / path.removeprefix("/three/"))
+        elif path == "/motion.glb":
+            route.fulfill(body=glb, content_type="model/gltf-binary")
+        else:
+            route.fulfill(body=PLAYER, content_type="text/html")
+
+    tab = context.new_page()
+    tab.route("http://three.invalid/**", answer)
+    tab.goto("http://three.invalid/")
+    polled(tab, "window.placesAt && true")
+    found = tab.evaluate("([names, times]) => placesAt(names, times)", [list(names), list(times_s)])
+    tab.close()
+    return np.array(found)

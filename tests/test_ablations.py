@@ -238,6 +238,14 @@ def test_without_a_shape_head_everybody_has_the_mean_body():
     assert answers(hmdposer(), FEATURES, TALL)[1].any()
 
 
+def test_hmdposers_loss_goes_without_a_term_of_weight_zero():
+    whole, whole_terms = loss_of(task_of("hmdposer")[1])
+    without, terms = loss_of(task_of("hmdposer", "stages.network.weights.acceleration=0")[1])
+    assert terms.pop("acceleration") == 0.0 < whole_terms["acceleration"]
+    assert terms == {name: whole_terms[name] for name in terms}
+    assert float((whole - without).detach()) == pytest.approx(whole_terms["acceleration"], rel=1e-4)
+
+
 # -- SparsePoser ---------------------------------------------------------------------------------
 
 
@@ -425,11 +433,12 @@ def test_some_variants_alone_can_be_asked_for_and_the_others_added_later(library
     assert ablations(args) == 0
     rows = json.loads((out / "ablations.json").read_text())["rows"]
     assert [(row["variant"], row["scenario"]) for row in rows] == [
-        ("full", "HMD"), ("no-graph", "HMD"), ("full", "HMD+3IMU"), ("no-graph", "HMD+3IMU"),
+        (variant, devices) for devices in ("HMD", "HMD+2IMU", "HMD+3IMU")
+        for variant in ("full", "no-graph")
     ]  # fmt: skip
     more = replace(args, resume=True, variants=("no-graph", "hmdposer-loss"))
     assert ablations(more) == 0
-    assert len(json.loads((out / "ablations.json").read_text())["rows"]) == 6
+    assert len(json.loads((out / "ablations.json").read_text())["rows"]) == 9
     with pytest.raises(InputError, match="--steps was 1, not 3"):
         ablations(replace(more, steps=3))
     with pytest.raises(InputError, match="holds a run already"):

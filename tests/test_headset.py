@@ -13,6 +13,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from agents.follower.bridge import IDENTITY
+from agents.follower.calibration import Calibration
+from agents.follower.follower import Follower
+from agents.follower.replay import calibrated, replayed
 from agents.headset.messages import MAX_BYTES, MAX_PER_SECOND, Allowance, frame_of, read_message
 from agents.headset.server import PAGE, LiveServer, ground_of, parts_of
 from agents.headset.session import (
@@ -20,13 +23,14 @@ from agents.headset.session import (
     CALIBRATION_S,
     FOLLOWING,
     MOST_WAITING,
+    WAITING,
     LiveSession,
 )
 from agents.headset.tls import known_host, server_context
 from envs.objects import WorldObject
 from envs.terrain import height_field, terrain_named
 from questsim.cli import main
-from questsim.devices import DeviceFrame, DevicePose
+from questsim.devices import DeviceFrame, DevicePose, from_ours
 from questsim.errors import InputError
 from questsim.recordings import Recording, read_recording, write_recording
 from questsim.synthetic_user import STILL_S, SyntheticUser, stream
@@ -38,13 +42,16 @@ class Listener:
     """In place of a session: keeps what the server lets through."""
 
     def __init__(self):
-        self.frames, self.begun, self.ended, self.assists = [], 0, 0, []
+        self.frames, self.begun, self.ended, self.assists, self.resumed = [], 0, 0, [], 0
 
     def push(self, frame):
         self.frames.append(frame)
 
     def begin(self):
         self.begun += 1
+
+    def resume(self):
+        self.resumed += 1
 
     def end(self):
         self.ended += 1
@@ -72,9 +79,9 @@ async def served(token: str = "", context=None):
             await server.stop()
 
 
-def connect(client, address: str, role: str = "driver", origin: str | None = None, token: str = ""):
-    headers = {"Origin": origin or address}
-    return client.ws_connect(f"{address}/ws?role={role}&token={token}", headers=headers)
+def connect(client, address: str, role: str = "driver", token: str = "", page: str = ""):
+    query = f"role={role}&token={token}&id={page}"
+    return client.ws_connect(f"{address}/ws?{query}", headers={"Origin": address})
 
 
 async def settled(true, seconds: float = 20.0) -> None:
@@ -154,6 +161,23 @@ def test_one_client_drives_and_another_may_when_it_has_gone():
             await settled(lambda: session.ended == 1)
             async with connect(client, address):
                 await settled(lambda: session.begun == 2)
+
+    asyncio.run(run())
+
+
+def test_driver_whose_connection_was_lost_takes_over_from_it_and_goes_on():
+    async def run():
+        async with served() as (_, session, client, address):
+            lost = await connect(client, address, page="a")
+            await settled(lambda: session.begun == 1)
+            async with connect(client, address, page="b") as other:
+                assert (await other.receive()).data == 4001
+            async with connect(client, address, page="a") as socket:
+                await settled(lambda: lost.closed or session.resumed == 1)
+                await socket.send_str(frame_text())
+                await settled(lambda: session.frames)
+                assert (session.begun, session.resumed, session.ended) == (1, 1, 0)
+            await settled(lambda: session.ended == 1)
 
     asyncio.run(run())
 
@@ -275,7 +299,10 @@ class PoseOfHead:
     """A follower that is ready at once; its pose is no matter."""
 
     latency_s, assist_n, names = 0.0, 100.0, ("headset",)
-    calibration = None
+    calibration, used = None, 0
+
+    def use(self, calibration):
+        self.calibration, self.used = calibration, self.used + 1
 
     def calibrate(self, frames, *, height_m, pose, palms):
         from agents.follower.calibration import calibrate
@@ -303,6 +330,39 @@ def test_session_measures_the_user_for_three_seconds_and_then_follows(walk):
     assert session.failure is None or session.height_m is not None
     assert any(state["state"] == FOLLOWING for state in said if state["type"] == "state")
     assert session.height_m == pytest.approx(1.75, abs=0.1)
+
+
+def test_session_publishes_the_poses_of_a_replay(walk):
+    frames = [f for f in walk.frames if f.time_s < walk.frames[0].time_s + 4.5]
+    said = []
+    with LiveSession(Follower("questsim-now"), said.append) as session:
+        session.begin()
+        for number, frame in enumerate(frames):
+            while session.state == WAITING or session.taken < number:
+                time.sleep(0.0005)
+            session.push(frame)
+    follower = Follower("questsim-now")
+    rest = calibrated(follower, Recording(tuple(frames)))
+    shown = [state for state in said if state["type"] == "pose"]
+    assert len(shown) == len(rest) > 50
+    for state, pose in zip(shown, replayed(follower, rest), strict=True):
+        position, _ = from_ours(pose.link_position, pose.link_quat, "openxr")
+        assert np.reshape(state["p"], (16, 3)) == pytest.approx(position, abs=1e-4)
+
+
+@pytest.mark.parametrize("known, state", [(Calibration(1.7), FOLLOWING), (None, CALIBRATING)])
+def test_lost_connection_starts_neither_calibration_nor_avatar_anew(known, state):
+    follower = PoseOfHead()
+    with LiveSession(follower, lambda _: None, calibration=known) as session:  # type: ignore[arg-type]
+        for call, expected in (
+            (session.begin, state), (session.end, WAITING), (session.resume, state)
+        ):  # fmt: skip
+            call()
+            end = time.monotonic() + 20
+            while session.state != expected:
+                assert time.monotonic() < end
+                time.sleep(0.001)
+    assert follower.used == (known is not None)
 
 
 def test_user_who_moves_is_asked_to_stand_still_again():

@@ -41,6 +41,8 @@ POLICY = (
 GROUND_M, GROUND_POINTS = 16.0, 161
 """Side of the square of ground that a page shows, and points along it."""
 MAX_CLIENTS = 32
+CLOSE_S = 1.0
+"""How long a client may take to answer a close (s)."""
 SLOW_S = 10.0
 """A client that receives nothing for longer than this (s) is disconnected."""
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
@@ -86,6 +88,7 @@ class LiveServer:
         self._page_drives = page_drives
         self._clients: dict[web.WebSocketResponse, _Outbox] = {}
         self._driver: web.WebSocketResponse | None = None
+        self._driver_id = ""
         self._loop = asyncio.get_running_loop()
         self.session: LiveSession | None = None
         self.failed = asyncio.Event()
@@ -183,10 +186,14 @@ class LiveServer:
     async def _socket(self, request: web.Request) -> web.StreamResponse:
         if len(self._clients) >= MAX_CLIENTS:
             raise web.HTTPServiceUnavailable(text="too many watchers")
-        socket = web.WebSocketResponse(max_msg_size=MAX_BYTES, heartbeat=20.0, compress=False)
+        socket = web.WebSocketResponse(
+            timeout=CLOSE_S, max_msg_size=MAX_BYTES, heartbeat=20.0, compress=False
+        )
         await socket.prepare(request)
         drives = request.query.get("role") == "driver"
-        if drives and (self._driver is not None or not self._page_drives):
+        page_id = request.query.get("id", "")
+        again = drives and page_id != "" and page_id == self._driver_id
+        if drives and (not self._page_drives or (self._driver is not None and not again)):
             reason = b"another page drives" if self._page_drives else b"the page only watches"
             await socket.close(code=4001, message=reason)
             return socket
@@ -196,17 +203,27 @@ class LiveServer:
         outbox.put(json.dumps(self.session.status()), "state")
         sender = asyncio.create_task(outbox.run())
         if drives:
-            self._driver = socket
-            self.session.begin()
+            self._take_over(socket, page_id, again)
         try:
             await self._listen(socket, drives)
         finally:
             sender.cancel()
             del self._clients[socket]
-            if drives:
+            if self._driver is socket:
                 self._driver = None
                 self.session.end()
         return socket
+
+    def _take_over(self, socket: web.WebSocketResponse, page_id: str, again: bool) -> None:
+        """Let a page drive; one whose connection was lost goes on without a new calibration."""
+        assert self.session is not None
+        lost, self._driver, self._driver_id = self._driver, socket, page_id
+        if lost is not None:  # without this, only a missed heartbeat would end it
+            self._ending = asyncio.create_task(lost.close())
+        if again:
+            self.session.resume()
+        else:
+            self.session.begin()
 
     async def _listen(self, socket: web.WebSocketResponse, drives: bool) -> None:
         allowance, faults = Allowance(MAX_PER_SECOND), 0

@@ -76,7 +76,7 @@ class LiveSession:
         self._assist_n = follower.assist_n
         self._recent: deque[DeviceFrame] = deque()
         self._calibrating: list[DeviceFrame] = []
-        self._text = ""
+        self._text, self._interrupted = "", WAITING
         self.state, self.taken, self.dropped = WAITING, 0, 0
         self.failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="live", daemon=True)
@@ -105,6 +105,10 @@ class LiveSession:
     def begin(self) -> None:
         """A driver has connected or requests a new calibration."""
         self._put(_Job(self._begin))
+
+    def resume(self) -> None:
+        """The same driver is back after a lost connection: go on, if a calibration is known."""
+        self._put(_Job(self._resume))
 
     def end(self) -> None:
         """The driver has disconnected."""
@@ -151,14 +155,20 @@ class LiveSession:
         self.state = CALIBRATING
         self._announce(STAND)
 
+    def _resume(self) -> None:
+        if FOLLOWING in (self.state, self._interrupted):
+            self._follow("")
+        else:
+            self._begin()
+
     def _end(self) -> None:
-        self.state = WAITING
+        self._interrupted, self.state = self.state, WAITING
         self._announce("no headset is connected")
 
     def _process(self, frame: DeviceFrame, received_s: float) -> None:
         if self.state == CALIBRATING:
             self._measure(frame)
-        elif self.state == FOLLOWING:
+        if self.state == FOLLOWING:  # also the frame after the calibration, as in a replay
             pose = self._follower.step(frame)
             if self._on_pose is not None:
                 self._on_pose(pose)
@@ -168,18 +178,19 @@ class LiveSession:
     def _measure(self, frame: DeviceFrame) -> None:
         if self._calibrating and frame.time_s <= self._calibrating[-1].time_s:
             self._calibrating.clear()
-        self._calibrating.append(frame)
-        passed = frame.time_s - self._calibrating[0].time_s
+        first = self._calibrating[0] if self._calibrating else frame
+        passed = frame.time_s - first.time_s
         whole = 2.0 * CALIBRATION_S if self._palms else CALIBRATION_S
         if passed < whole:
+            self._calibrating.append(frame)
             still = passed < CALIBRATION_S
             left = int(np.ceil((CALIBRATION_S if still else whole) - passed))
             self._announce(f"{STAND if still else TURN}: {left} s")
             return
         frames, self._calibrating = self._calibrating, []
         end = frames[0].time_s + CALIBRATION_S
-        still_frames = [f for f in frames if f.time_s <= end] if self._palms else frames
-        palms = [f for f in frames if f.time_s > end] if self._palms else []
+        still_frames = [f for f in frames if f.time_s < end]
+        palms = [f for f in frames if f.time_s >= end]
         try:
             known = self._follower.calibrate(
                 still_frames, height_m=self._height_m, pose=self._pose, palms=palms

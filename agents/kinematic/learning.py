@@ -34,8 +34,8 @@ class Learning:
         steps: largest number of gradient steps of the stage.
         epochs: published number of passes over the data: the budget without --minutes and --steps.
         stride: frames between the windows of a pass; 0 for one window of each motion.
-        weights: weights of loss terms by name: ``continuity`` in DragPoser's ``vae``, ``keep`` in
-            SparsePoser's ``ik``; by default the published ones.
+        weights: weights of loss terms by name: HMD-Poser's terms, ``continuity`` in DragPoser's
+            ``vae``, ``keep`` in SparsePoser's ``ik``; by default the published ones.
     """
 
     share: float = 1.0

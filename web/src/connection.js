@@ -4,16 +4,20 @@ import { address } from "./address.js";
 const AGAIN_MS = 1000;
 export const BUSY = 4001;
 
+// By this the server knows a driver whose connection was lost: it goes on without a new calibration.
+const newId = () => Array.from(crypto.getRandomValues(new Uint8Array(12)), (b) => b.toString(36)).join("");
+
 export class Connection {
   constructor(role, take) {
     this.role = role;
+    this.id = newId();
     this.take = take;
     this.closed = false;
     this.open();
   }
 
   open() {
-    const url = address("/ws", { role: this.role });
+    const url = address("/ws", { role: this.role, id: this.id });
     url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
     this.socket = new WebSocket(url);
     this.socket.onmessage = (event) => this.take(JSON.parse(event.data));

@@ -1,5 +1,5 @@
 // The avatar: sixteen meshes of the server's GLB, one for each link, posed by the server's messages.
-import { EqualStencilFunc, Group, Quaternion } from "three";
+import { EqualStencilFunc, Group, Quaternion, Vector3 } from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 import { address } from "./address.js";
 
@@ -20,12 +20,25 @@ export function onlyInGlass(group) {
   });
 }
 
+// Where an orientation looks, level.
+export function gazeOf(quaternion) {
+  return new Vector3(0, 0, -1).applyQuaternion(quaternion).setY(0);
+}
+
 export class Figure extends Group {
   constructor(inMirror = false) {
     super();
     this.inMirror = inMirror;
     this.links = [];
-    this.visible = false;
+    this.headless = false;
+    this.place = new Vector3();
+    this.gaze = new Vector3(0, 0, -1);
+    this.hide();
+  }
+
+  // Children, so that whoever has the figure decides whether it is visible at all.
+  hide() {
+    for (const link of this.links) link.visible = false;
   }
 
   async load(height) {
@@ -36,6 +49,7 @@ export class Figure extends Group {
     this.clear();
     this.add(...found);
     this.links = found;
+    this.hide();
     if (this.inMirror) onlyInGlass(this);
   }
 
@@ -44,13 +58,10 @@ export class Figure extends Group {
       link.position.fromArray(pose.p, 3 * i);
       // The server sends xyzw, as WebXR and three.js have it.
       link.quaternion.fromArray(pose.q, 4 * i).multiply(HALF_TURN);
+      // The wearer's camera is inside the head, which would hide everything else.
+      link.visible = !(this.headless && LINKS[i] === "head");
     });
-    this.visible = this.links.length > 0;
-  }
-
-  // The wearer's camera is inside the head, which would hide everything else.
-  set headless(on) {
-    const head = this.links[LINKS.indexOf("head")];
-    if (head) head.visible = !on;
+    this.place.fromArray(pose.p);
+    this.gaze = gazeOf(new Quaternion().fromArray(pose.q, 4 * LINKS.indexOf("head")));
   }
 }

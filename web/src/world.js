@@ -21,10 +21,10 @@ export function makeWorld() {
   return scene;
 }
 
-// Replaces the level floor by the session's terrain, if it has one.
+// Replaces the level floor by the session's terrain, if it has one; returns whether it is level.
 export async function loadGround(scene) {
   const ground = await (await fetch(address("/ground.json"))).json();
-  if (!ground) return;
+  if (!ground) return true;
   const level = scene.getObjectByName("floor");
   const shape = new PlaneGeometry(ground.side_m, ground.side_m, ground.points - 1, ground.points - 1);
   // A plane's rows run from far to near, each from left to right, as the server's do.
@@ -33,6 +33,7 @@ export async function loadGround(scene) {
   level.geometry.dispose();
   level.geometry = shape;
   level.material.map.repeat.set(ground.side_m / 2, ground.side_m / 2);
+  return false;
 }
 
 function floor() {
@@ -127,24 +128,46 @@ export class Mirror extends Group {
   }
 }
 
-// Mirror and board stand before the user, and follow a user who has walked further than this.
+// Mirror, board and the copy ahead stand before the user, and follow one who has walked further than this.
 const LEASH_M = 1.0;
+// The copy of the avatar that the user sees from behind, left of the mirror.
+const AHEAD = new Vector3(-1.75, 0, -1.6);
 
 export class Stage extends Group {
-  constructor(mirror, board) {
+  constructor(mirror, board, ahead) {
     super();
     this.mirror = mirror;
-    this.add(mirror, board);
+    this.ahead = ahead;
+    this.copy = new Group();
+    this.copy.add(ahead);
+    this.add(mirror, board, this.copy);
+    this.set(new Vector3(), 0);
   }
 
-  // Moves to the user at (x, z) if they are too far away; returns the shift, or null.
-  follow(x, z) {
-    const shift = new Vector3(x - this.position.x, 0, z - this.position.z);
-    if (shift.length() < LEASH_M) return null;
-    this.position.add(shift);
+  // Turns to a user at `place` who looks along `gaze`; returns the change as a matrix.
+  face(place, gaze) {
+    return this.set(place, gaze.lengthSq() > 0.01 ? Math.atan2(-gaze.x, -gaze.z) : this.rotation.y);
+  }
+
+  // Moves to a user who is too far away; returns the change as a matrix, or null.
+  follow(place) {
+    if (Math.hypot(place.x - this.position.x, place.z - this.position.z) < LEASH_M) return null;
+    return this.set(place, this.rotation.y);
+  }
+
+  set(place, yaw) {
+    this.updateMatrix();
+    const change = this.matrix.clone().invert();
+    this.position.set(place.x, 0, place.z);
+    this.rotation.y = yaw;
+    this.updateMatrix();
     // The figures' poses are in the world, not on the moved stage.
-    this.mirror.shifted.position.set(-x, 0, -z);
-    return shift;
+    const back = this.matrix.clone().invert();
+    for (const group of [this.mirror.shifted, this.copy]) {
+      back.decompose(group.position, group.quaternion, group.scale);
+    }
+    this.copy.position.add(AHEAD);
+    return change.premultiply(this.matrix);
   }
 }
 

@@ -12,7 +12,12 @@ from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.learning import Config, Learning
 from agents.kinematic.recurrent.hmdposer import HmdPoserSpec
 from agents.kinematic.recurrent.lgsik import LgsikSpec
-from agents.kinematic.recurrent.poser import RecurrentModule, RecurrentPoser, make_task
+from agents.kinematic.recurrent.poser import (
+    HMDPOSER_WEIGHTS,
+    RecurrentModule,
+    RecurrentPoser,
+    make_task,
+)
 from agents.kinematic.scenario import PAPER_NAMES, Scenario, Variant
 from questsim.sensors import SENSOR_SETS
 
@@ -22,7 +27,7 @@ SCENARIOS = tuple(
     for online in (False, True)
     for key in _SETS
 )
-_ABLATED_IN = ("HMD", "HMD+3IMU")
+_ABLATED_IN = tuple(PAPER_NAMES[key] for key in _SETS)
 
 
 def _system(
@@ -34,13 +39,20 @@ def _system(
 
 
 def _entry(
-    title: str, paper: Config, cpu: Any, smoke: Any, variants: tuple[Variant, ...], paper_ms: float
+    title: str,
+    paper: Config,
+    cpu: Any,
+    smoke: Any,
+    variants: tuple[Variant, ...],
+    paper_ms: float,
+    weights: dict[str, float],
 ) -> Entry:
-    """An entry; ``cpu`` and ``smoke`` are the specs of these presets."""
+    """An entry; ``cpu`` and ``smoke`` are the specs of these presets, which share ``weights``."""
+    short = replace(SMOKE, window=18, weights=weights)
     presets = {
         "paper": paper,
-        "cpu": Config(cpu, {"network": CPU}),
-        "smoke": Config(smoke, {"network": replace(SMOKE, window=18)}, validation=12),
+        "cpu": Config(cpu, {"network": replace(CPU, weights=weights)}),
+        "smoke": Config(smoke, {"network": short}, validation=12),
     }
     return Entry(
         title,
@@ -70,6 +82,7 @@ HMDPOSER = _entry(
                 window=42,
                 clip=None,
                 epochs=400,
+                weights=HMDPOSER_WEIGHTS,
             )
         },
     ),
@@ -86,8 +99,29 @@ HMDPOSER = _entry(
             "bones are not estimated: all users have the mean body (HMD-Poser)",
             set=("spec.shape_head=false",),
         ),
+        Variant(
+            "no-acceleration-loss",
+            "the loss has no term for accelerations (HMD-Poser)",
+            set=("stages.network.weights.acceleration=0",),
+        ),
+        Variant(
+            "no-joint-loss",
+            "the loss has no term for joint positions (HMD-Poser)",
+            set=("stages.network.weights.joints=0",),
+        ),
+        Variant(
+            "no-global-loss",
+            "the loss has no term for orientations in the world (HMD-Poser)",
+            set=("stages.network.weights.global=0",),
+        ),
+        Variant(
+            "narrow",
+            "48 features a token (HMD-Poser)",
+            set=("spec.size=48",),
+        ),
     ),
     paper_ms=17.0,
+    weights=HMDPOSER_WEIGHTS,
 )
 
 LGSIK = _entry(
@@ -135,4 +169,5 @@ LGSIK = _entry(
         ),
     ),
     paper_ms=8.0,
+    weights={},
 )

@@ -34,6 +34,11 @@ WINDOWS_AT_ONCE = 64
 VISIBLE = ((False, False, False), (True, True, False), (True, True, True))
 """Presence of the three IMUs: HMD, HMD+2IMU, HMD+3IMU; training draws them equally often."""
 
+HMDPOSER_WEIGHTS = {
+    "root": 1.0, "local": 5.0, "global": 1.0, "joints": 1.0, "acceleration": 0.5, "shape": 0.1,
+}  # fmt: skip
+"""Published weights of the terms of HMD-Poser's loss, see ``losses``."""
+
 _BONE_OF_JOINT = torch.as_tensor(bone_of_joint())
 
 RecurrentSpec = HmdPoserSpec | LgsikSpec
@@ -225,15 +230,20 @@ def _mse(a: Tensor, b: Tensor) -> Tensor:
 
 
 def losses(
-    module: RecurrentModule, six: Tensor, shape: Tensor, heading: Tensor, target: Windows
+    module: RecurrentModule,
+    six: Tensor,
+    shape: Tensor,
+    heading: Tensor,
+    target: Windows,
+    weights: dict[str, float] = HMDPOSER_WEIGHTS,
 ) -> tuple[Tensor, dict[str, float]]:
     """The published loss of either system, in the frame of the head's heading.
 
     HMD-Poser, L1: root 1, local 5, global 1, joints 1, acceleration 0.5 (of 100 m/s^2), shape
-    consistency 0.1. LGSIK-Poser, MSE: root 10, local 50, global 10, joints 1000, sparse joints
-    (root, hands) 1000, shape 10, velocity 5 over lags of 1, 3 and 5 frames. In both papers the
-    shape term is consistency in the window alone: bones follow from the loss of the joints. Other
-    values of ``LgsikSpec.loss`` supervise bone lengths too, or use HMD-Poser's loss.
+    consistency 0.1 (``weights``). LGSIK-Poser, MSE: root 10, local 50, global 10, joints 1000,
+    sparse joints (root, hands) 1000, shape 10, velocity 5 over lags of 1, 3 and 5 frames. In both
+    papers the shape term is consistency in the window alone: bones follow from the loss of the
+    joints. Other values of ``LgsikSpec.loss`` supervise bone lengths too, or use HMD-Poser's loss.
     """
     local = diff.six_d_to_matrix(six)
     offsets = module.bones(shape)
@@ -257,12 +267,13 @@ def losses(
 
         terms = {
             "root": _l1(got_six[:, :, 0], want_root),
-            "local": 5.0 * _l1(got_six[:, :, 1:], want_six),
+            "local": _l1(got_six[:, :, 1:], want_six),
             "global": _l1(diff.matrix_to_six_d(world), diff.matrix_to_six_d(want_world)),
             "joints": _l1(joints, want),
-            "acceleration": 0.5 * _l1(bend(moved), bend(want_moved)),
-            "shape": 0.1 * (shape - shape.mean(dim=1, keepdim=True)).abs().mean(),
+            "acceleration": _l1(bend(moved), bend(want_moved)),
+            "shape": (shape - shape.mean(dim=1, keepdim=True)).abs().mean(),
         }
+        terms = {name: weights[name] * term for name, term in terms.items()}
     else:
         sparse = [JOINTS.index(name) for name in ("root", "left_wrist", "right_wrist")]
         lags = [k for k in (1, 3, 5) if k < moved.shape[1]]
@@ -314,7 +325,8 @@ def make_task(
         body = module.body_inputs(target.offsets.numpy())
         with products(learning.bfloat16 and module.training):
             six, shape, _ = module.net(inputs, body)
-        return losses(module, six.float(), shape.float(), heading, target)
+        weights = HMDPOSER_WEIGHTS | learning.weights
+        return losses(module, six.float(), shape.float(), heading, target, weights)
 
     def validate() -> dict[str, float]:
         return loss((fixed, fixed_seen))[1]

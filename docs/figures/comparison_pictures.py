@@ -1,0 +1,87 @@
+"""The pictures and the film of a comparison: ``python -m docs.figures.comparison_pictures SCORES``.
+
+    python -m docs.figures.comparison_pictures SCORES [--film] [--motions bandai-namco-2:test]
+
+Draws the figures of a folder's complete rows again, without computing any, and puts them into
+``docs/images``. ``--film`` also makes the film, its sheet and the worst clips with the shipped
+agents; the film stays in SCORES.
+"""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+import tyro
+from tyro.conf import Positional
+
+from agents.comparison.compare import FIGURES, compare
+from agents.comparison.conditions import Noise, Start
+from agents.comparison.drawn import DRAWN, PREDICTOR
+from agents.comparison.film import SHEET
+from agents.comparison.options import CompareArgs
+from agents.comparison.worst import FILE as WORST
+from questsim.cli import guarded
+
+IMAGES = Path(__file__).parents[1] / "images"
+FILMED = (
+    "dataset-2_walk_masculine_005",
+    "dataset-2_run_feminine_035",
+    "dataset-2_raise-up-both-hands_feminine_035",
+)
+"""Clips of the film: a walk, a run and a gesture."""
+
+
+@dataclass(frozen=True)
+class PicturesArgs:
+    """Draw the figures of a comparison into docs/images."""
+
+    scores: Positional[Path]
+    """Folder of the comparison (evaluate.py --compare --out)."""
+    motions: str = "bandai-namco-2:test"
+    """Motions of the comparison."""
+    max_clips: int | None = 48
+    """Of the comparison."""
+    fewer_clips: int | None = 24
+    """Of the comparison."""
+    film: bool = False
+    """Also make the film, the sheet and the worst clips."""
+    agents: tuple[str, ...] = ()
+    """Only these agents, in figures and film."""
+
+
+def draw(args: PicturesArgs) -> int:
+    """Draw the figures and copy them; returns the exit code.
+
+    Raises:
+        InputError: see ``compare``.
+    """
+    code = compare(
+        CompareArgs(
+            agents=args.agents,
+            motions=args.motions,
+            max_clips=args.max_clips,
+            fewer_clips=args.fewer_clips,
+            out=args.scores,
+            starts=get_args(Start),
+            noise=get_args(Noise),
+            windows=True,
+            finished=True,
+            times=False,
+            threads=1,
+            video=args.film,
+            video_clips=FILMED if args.film else (),
+        )
+    )
+    made = [*FIGURES, *DRAWN, PREDICTOR, *((SHEET, WORST) if args.film else ())]
+    for name in made:
+        if (args.scores / name).is_file():
+            picture = "sheet.png" if name == SHEET else name.replace("_", "-")
+            shutil.copyfile(args.scores / name, IMAGES / f"comparison-{picture}")
+    return code
+
+
+if __name__ == "__main__":
+    raise SystemExit(guarded(lambda: draw(tyro.cli(PicturesArgs))))
