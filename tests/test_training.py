@@ -351,4 +351,4 @@ def test_published_preset_is_as_published():
     assert stage.policy == PolicySpec(hidden=(400, 300, 200), activation="tanh", torque_head=False)
     assert (ppo.noise_legs_and_trunk, ppo.noise_arms_and_neck) == (0.03, 0.03)
     assert paper.body_preset == "paper"
-    assert not stage.privileged
+    assert "privileged" not in stage.policy.actor_blocks + stage.policy.critic_blocks

@@ -76,12 +76,6 @@ class StageConfig:
     sampling: str = "failure"
     max_error_m: float = 0.5
 
-    @property
-    def privileged(self) -> bool:
-        """Whether its environment needs the privileged observation of the reference."""
-        needs_teacher = isinstance(self.learning, DaggerConfig)
-        return needs_teacher or "privileged" in self.policy.actor_blocks + self.policy.critic_blocks
-
 
 @dataclass(frozen=True)
 class Preset:

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from agents.agent import Needs
 from agents.evaluation.follow import evaluation_sim, follow, from_first_frames
 from agents.policy.checkpoint import find_teacher, load_policy
 from agents.policy.policy_agent import PolicyAgent
@@ -92,20 +93,18 @@ class _OfOtherDevices(PolicyAgent):
         return {**layout, "o_user": layout["o_teacher"]}
 
 
-def devices_of_teachers(args: TrainArgs) -> tuple[str, int] | None:
-    """Devices of a student's teachers where they are not the student's own; else None.
+def needs_of_teachers(args: TrainArgs) -> list[Needs]:
+    """What a student's teachers observe.
 
     Raises:
         InputError: there is no such teacher.
     """
-    where = [*([args.teacher] if args.teacher else [])]
-    where += [read_specialist(text).where for text in args.specialists]
-    for folder in where:
-        needs = load_policy(find_teacher(folder)).needs
-        devices = (needs.sensors, needs.future_frames)
-        if not needs.privileged and devices != (args.sensors, args.future_frames):
-            return devices
-    return None
+    folders = [read_specialist(text).where for text in args.specialists]
+    if args.teacher is not None:
+        folders.append(args.teacher)
+    needs = [load_policy(find_teacher(folder)).needs for folder in folders]
+    # Without --teacher it is the run's own.
+    return needs if args.teacher is not None else [*needs, Needs(privileged=True)]
 
 
 class Teachers:

@@ -40,7 +40,7 @@ from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PRESETS, PPOConfig, Preset, StageConfig, shown_estimates
 from agents.training.ray_session import ray_cluster, ray_runs
 from agents.training.rollout_worker import BatchSpec
-from agents.training.specialists import devices_of_teachers, read_specialist
+from agents.training.specialists import needs_of_teachers, read_specialist
 from agents.training.stage import Budget, Stage, Stopper
 from agents.training.start_estimates import start_estimates
 from agents.training.training_clips import (
@@ -292,14 +292,17 @@ def _run_stage(
 
 
 def _env_config(args: TrainArgs, preset: Preset, config: StageConfig) -> EnvConfig:
-    devices = devices_of_teachers(args) if isinstance(config.learning, DaggerConfig) else None
+    teachers = needs_of_teachers(args) if isinstance(config.learning, DaggerConfig) else []
+    blocks = config.policy.actor_blocks + config.policy.critic_blocks
+    own = args.sensors, args.future_frames
+    devices = [(t.sensors, t.future_frames) for t in teachers if not t.privileged]
     return EnvConfig(
         sensors=args.sensors,
         future_frames=args.future_frames,
         heights=args.heights,
         body_preset=preset.body_preset,
         reward=config.reward,
-        privileged=config.privileged,
+        privileged="privileged" in blocks or any(t.privileged for t in teachers),
         sampling="kind" if args.vary and config.sampling == "failure" else config.sampling,
         max_error_m=config.max_error_m,
         terrain=None if args.env is None else terrain_named(args.env, "--env"),
@@ -310,7 +313,7 @@ def _env_config(args: TrainArgs, preset: Preset, config: StageConfig) -> EnvConf
         body=None if args.body is None else read_body(args.body),
         proportions=args.proportions,
         observe_proportions=args.observe_proportions,
-        teacher_devices=devices,
+        teacher_devices=next((found for found in devices if found != own), None),
     )
 
 
