@@ -19,6 +19,7 @@ from agents.policy.policy_agent import PolicyAgent
 from agents.resolve import from_anywhere
 from envs import QuestVecEnv
 from questsim.errors import InputError
+from questsim.sensors import sensor_set
 
 if TYPE_CHECKING:
     from agents.training.cluster import ActorPool
@@ -72,8 +73,13 @@ def load_teacher(where: Path, env: QuestVecEnv | ActorPool, option: str) -> Poli
     """
     agent = load_policy(find_teacher(where))
     needs, config = agent.needs, env.config
-    devices = (needs.sensors, needs.future_frames)
-    if not needs.privileged and devices != (config.sensors, config.future_frames):
+    devices, found = (needs.sensors, needs.future_frames), (config.sensors, config.future_frames)
+    if not needs.privileged and devices != found:
+        less = set(sensor_set(found[0])) - set(sensor_set(devices[0])) or devices[1] < found[1]
+        if less:
+            what = f"observes {devices[0]} with {devices[1]} future frames, the student "
+            fix = "give a teacher that observes at least what its student does"
+            raise InputError(f"{what}{found[0]} with {found[1]}", f"{option} {where}", fix)
         if devices != config.teacher_devices:
             raise InputError(
                 f"observes {devices[0]} with {devices[1]} future frames, neither the student's "
