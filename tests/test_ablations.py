@@ -25,6 +25,7 @@ from agents.kinematic.dragposer.networks import (
 from agents.kinematic.dragposer.training import _limb_noise
 from agents.kinematic.interface import UserBody
 from agents.kinematic.options import TrainSystemArgs
+from agents.kinematic.recurrent.faults import EXACT, drawn
 from agents.kinematic.recurrent.features import ATOMS
 from agents.kinematic.recurrent.hmdposer import HmdPoserNet, HmdPoserSpec
 from agents.kinematic.recurrent.lgsik import PARTS, LgsikNet, LgsikSpec
@@ -244,6 +245,28 @@ def test_hmdposers_loss_goes_without_a_term_of_weight_zero():
     assert terms.pop("acceleration") == 0.0 < whole_terms["acceleration"]
     assert terms == {name: whole_terms[name] for name in terms}
     assert float((whole - without).detach()) == pytest.approx(whole_terms["acceleration"], rel=1e-4)
+
+
+def test_errors_of_the_devices_have_the_sizes_of_the_preset():
+    assert drawn(EXACT, (2, 3, 6), np.random.default_rng(0)) is None
+    noise = {"position_m": 0.005, "mount_rad": 0.17, "mount_m": 0.03, "rotation_rad": 0.02}
+    faults = drawn(noise, (40, 18, 6), np.random.default_rng(0))
+    assert faults is not None
+    still, upright = torch.zeros(40, 18, 6, 3), torch.eye(3).expand(40, 18, 6, 3, 3)
+    position, rotation = faults.apply(still, upright)
+    # The mean over the frames of a window is its mount; what is left is white.
+    mounts = position.mean(dim=1, keepdim=True)
+    assert 0.02 < mounts.norm(dim=-1).max() < 0.034
+    white = (position - mounts).std() * (18 / 17) ** 0.5
+    assert float(white) == pytest.approx(0.005, rel=0.05)
+    # cos(angle) of the turns: 0.17 rad and what white noise adds.
+    cosine = (rotation.diagonal(dim1=-2, dim2=-1).sum(dim=-1) - 1) / 2
+    assert 0.15 < float(torch.acos(cosine.clamp(max=1)).max()) < 0.17 + 0.1
+    exact, noisy = (
+        loss_of(task_of("hmdposer", *words)[1])[1]["error_cm"]
+        for words in ((), ("stages.network.noise.position_m=0.5",))
+    )
+    assert exact != noisy
 
 
 # -- SparsePoser ---------------------------------------------------------------------------------

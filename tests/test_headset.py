@@ -403,6 +403,8 @@ def test_session_with_palms_locates_the_controllers_after_six_seconds():
         (["--palms", "--calibration", "me.json"], "--palms"),
         (["--assist", "-1"], "--assist"),
         (["--replay", "synthetic", "--vmc-in", "39540"], "--vmc-in"),
+        (["--vmc-roles", "LHR-1=pelvis_tracker"], "--vmc-roles"),
+        (["--vmc-in", "39540", "--vmc-roles", "LHR-1=tail"], "--vmc-roles"),
         (["--host", "no.such.host.invalid"], "--host"),
     ],
 )

@@ -8,7 +8,7 @@ import secrets
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +30,7 @@ from questsim.devices import DeviceFrame
 from questsim.errors import InputError, at_least
 from questsim.exporting.formats import needs
 from questsim.recordings import Recording, RecordingWriter, read_recording
+from questsim.sensors import DEVICES
 from questsim.viewing.page_server import LOOPBACK, check_address, is_loopback
 
 DEFAULT_PORT = 8085
@@ -71,6 +72,9 @@ class LiveArgs:
     """Send trackers to VRChat at HOST:PORT, e.g. 127.0.0.1:9000."""
     vmc_in: int | None = None
     """Drive the avatar from a VMC program over OSC at this local port, e.g. 39540; pages watch."""
+    vmc_roles: tuple[str, ...] = ()
+    """Devices of --vmc-in by serial, each SERIAL=DEVICE, e.g. LHR-1234=pelvis_tracker; the headset
+    and controllers named left and right need none."""
     host: str = LOOPBACK
     """Address to listen on; any other than the default uses TLS and a token."""
     port: int = DEFAULT_PORT
@@ -143,7 +147,26 @@ def _check(args: LiveArgs) -> None:
         _refuse_calibrating(args)
     if args.replay is not None and args.vmc_in is not None:
         raise InputError("does not go with --replay", "--vmc-in", "give one of them")
+    if args.vmc_roles and args.vmc_in is None:
+        raise InputError("does nothing without --vmc-in", "--vmc-roles", "leave it out")
+    roles_of(args.vmc_roles)
     check_address(args.host, args.port)
+
+
+def roles_of(words: Sequence[str]) -> dict[str, str]:
+    """Devices by the serials of another program, from ``SERIAL=DEVICE``.
+
+    Raises:
+        InputError: not of this form, or no such device.
+    """
+    roles = {}
+    for word in words:
+        serial, _, device = word.rpartition("=")
+        if not serial or device not in DEVICES or DEVICES[device].kind == "imu":
+            known = ", ".join(name for name, each in DEVICES.items() if each.kind != "imu")
+            raise InputError(f"{word!r} is not SERIAL=DEVICE", "--vmc-roles", f"devices: {known}")
+        roles[serial] = device
+    return roles
 
 
 def _refuse_calibrating(args: LiveArgs) -> None:
@@ -234,7 +257,7 @@ async def _serve(
         for number in (signal.SIGINT, signal.SIGTERM):
             asyncio.get_running_loop().add_signal_handler(number, ended.cancel)
         feeding = None
-        with _osc_driver(args.vmc_in, session):
+        with _osc_driver(args.vmc_in, roles_of(args.vmc_roles), session):
             if recording is not None:
                 feeding = asyncio.create_task(feed(session, recording))
             with contextlib.suppress(asyncio.CancelledError):
@@ -247,14 +270,14 @@ async def _serve(
 
 
 @contextlib.contextmanager
-def _osc_driver(port: int | None, session: LiveSession) -> Iterator[None]:
+def _osc_driver(port: int | None, roles: dict[str, str], session: LiveSession) -> Iterator[None]:
     """Frames of a VMC program, if one drives the avatar."""
     if port is None:
         yield
         return
     from questsim.osc.receiver import VmcReceiver
 
-    with VmcReceiver(session.push, port=port) as receiver:
+    with VmcReceiver(session.push, port=port, roles=roles) as receiver:
         print(f"listening for VMC at {LOOPBACK}:{receiver.port}", flush=True)
         session.begin()
         yield

@@ -36,6 +36,7 @@ class Learning:
         stride: frames between the windows of a pass; 0 for one window of each motion.
         weights: weights of loss terms by name: HMD-Poser's terms, ``continuity`` in DragPoser's
             ``vae``, ``keep`` in SparsePoser's ``ik``; by default the published ones.
+        noise: errors of the devices, of HMD-Poser and LGSIK-Poser (``recurrent.faults``).
     """
 
     share: float = 1.0
@@ -53,6 +54,7 @@ class Learning:
     epochs: int | None = None
     stride: int = 0
     weights: dict[str, float] = field(default_factory=dict)
+    noise: dict[str, float] = field(default_factory=dict)
 
 
 STEP_AT = 0.75

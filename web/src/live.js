@@ -10,7 +10,6 @@ import { Board, Forces, Mirror, Stage, WorldObjects, loadGround, loadObjects, ma
 
 const element = (id) => document.getElementById(id);
 const EVENT_MS = 4000;
-const HELP = ["", "both triggers for 2 s: measure again", "both grips for 2 s: assist on or off"];
 
 const renderer = new WebGLRenderer({ antialias: true, stencil: true });
 renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
@@ -129,11 +128,17 @@ function seen(change) {
   orbit.update();
 }
 
+// For the wearer, who does not see the page's buttons.
+function help() {
+  const assist = element("assist").disabled ? [] : ["both grips for 2 s: assist on or off"];
+  return ["", "both triggers for 2 s: measure again", ...assist];
+}
+
 function showText() {
   const event = performance.now() - state.eventAt < EVENT_MS ? state.event : "";
   element("text").textContent = event || state.text;
   element("numbers").textContent = state.numbers;
-  board.show([event || state.text, ...state.numbers.split("\n"), ...(session ? HELP : [])]);
+  board.show([event || state.text, ...state.numbers.split("\n"), ...(session ? help() : [])]);
 }
 
 renderer.xr.addEventListener("sessionstart", () => {

@@ -10,6 +10,7 @@ from torch import nn
 from agents.kinematic.entry import CPU, HEADS_ALIGNED, SMOKE, Entry, no_options
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.learning import Config, Learning
+from agents.kinematic.recurrent.faults import EXACT
 from agents.kinematic.recurrent.hmdposer import HmdPoserSpec
 from agents.kinematic.recurrent.lgsik import LgsikSpec
 from agents.kinematic.recurrent.poser import (
@@ -47,13 +48,15 @@ def _entry(
     paper_ms: float,
     weights: dict[str, float],
 ) -> Entry:
-    """An entry; ``cpu`` and ``smoke`` are the specs of these presets, which share ``weights``."""
-    short = replace(SMOKE, window=18, weights=weights)
+    """An entry; ``cpu`` and ``smoke`` are the specs of these presets; all share ``weights``."""
     presets = {
         "paper": paper,
-        "cpu": Config(cpu, {"network": replace(CPU, weights=weights)}),
-        "smoke": Config(smoke, {"network": short}, validation=12),
+        "cpu": Config(cpu, {"network": CPU}),
+        "smoke": Config(smoke, {"network": replace(SMOKE, window=18)}, validation=12),
     }
+    for name, preset in presets.items():
+        network = replace(preset.stages["network"], weights=weights, noise=EXACT)
+        presets[name] = replace(preset, stages={"network": network})
     return Entry(
         title,
         _SETS,
@@ -82,7 +85,6 @@ HMDPOSER = _entry(
                 window=42,
                 clip=None,
                 epochs=400,
-                weights=HMDPOSER_WEIGHTS,
             )
         },
     ),

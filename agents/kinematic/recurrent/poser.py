@@ -13,6 +13,7 @@ from agents.kinematic.data import MotionBank, Windows
 from agents.kinematic.interface import DeviceSignals, KinematicSystem, Poses, UserBody
 from agents.kinematic.learning import Learning, Task
 from agents.kinematic.recurrent.assembly import assembled
+from agents.kinematic.recurrent.faults import Faults, drawn
 from agents.kinematic.recurrent.features import DEVICES, HEAD, SENSOR_JOINTS, features
 from agents.kinematic.recurrent.hmdposer import HmdPoserNet, HmdPoserSpec
 from agents.kinematic.recurrent.lgsik import SHAPE_INPUTS, LgsikNet, LgsikSpec
@@ -42,6 +43,7 @@ HMDPOSER_WEIGHTS = {
 _BONE_OF_JOINT = torch.as_tensor(bone_of_joint())
 
 RecurrentSpec = HmdPoserSpec | LgsikSpec
+_Batch = tuple[Windows, Tensor, Faults | None]
 
 
 class RecurrentModule(nn.Module):
@@ -203,8 +205,13 @@ def _compile() -> None:
 # -- training ----------------------------------------------------------------------------------
 
 
-def training_inputs(windows: Windows, seen: Tensor) -> tuple[Tensor, Tensor, Windows]:
-    """Features ``(B, T, 135)``, headings and targets, from windows ``HISTORY`` frames longer."""
+def training_inputs(
+    windows: Windows, seen: Tensor, faults: Faults | None = None
+) -> tuple[Tensor, Tensor, Windows]:
+    """Features ``(B, T, 135)``, headings and targets, from windows ``HISTORY`` frames longer.
+
+    Accelerations of IMUs have no errors of their own, as in the comparison.
+    """
     at = list(SENSOR_JOINTS)
     rotation = windows.world[:, :, at]
     place = windows.position[:, :, at]
@@ -213,6 +220,8 @@ def training_inputs(windows: Windows, seen: Tensor) -> tuple[Tensor, Tensor, Win
     imu = place[:, :, 3:] + (rotation[:, :, 3:] @ arms_there).squeeze(-1)
     acceleration = torch.zeros_like(imu)
     acceleration[:, 2:] = (imu[:, 2:] - 2 * imu[:, 1:-1] + imu[:, :-2]) * SENSOR_FPS**2
+    if faults is not None:
+        place, rotation = faults.apply(place, rotation)
     inputs, heading = features(place[:, :, :3], rotation, acceleration, seen)
     cut = slice(HISTORY, None)
     target = Windows(
@@ -315,20 +324,27 @@ def make_task(
     fixed = bank.validation.fixed(validation)
     fixed_seen = torch.tensor(VISIBLE)[torch.arange(validation) % len(VISIBLE)]
 
-    def draw(rng: np.random.Generator) -> tuple[Windows, Tensor]:
-        windows = bank.draw(learning.batch, rng)
-        return windows, torch.tensor(VISIBLE)[rng.integers(len(VISIBLE), size=learning.batch)]
+    def with_faults(windows: Windows, seen: Tensor, rng: np.random.Generator) -> _Batch:
+        shape = (len(windows), windows.frames, len(DEVICES))
+        return windows, seen, drawn(learning.noise, shape, rng)
 
-    def loss(batch: tuple[Windows, Tensor]) -> tuple[Tensor, dict[str, float]]:
-        windows, seen = batch
-        inputs, heading, target = training_inputs(windows, seen)
+    def draw(rng: np.random.Generator) -> _Batch:
+        windows = bank.draw(learning.batch, rng)
+        seen = torch.tensor(VISIBLE)[rng.integers(len(VISIBLE), size=learning.batch)]
+        return with_faults(windows, seen, rng)
+
+    def loss(batch: _Batch) -> tuple[Tensor, dict[str, float]]:
+        windows, seen, faults = batch
+        inputs, heading, target = training_inputs(windows, seen, faults)
         body = module.body_inputs(target.offsets.numpy())
         with products(learning.bfloat16 and module.training):
             six, shape, _ = module.net(inputs, body)
         weights = HMDPOSER_WEIGHTS | learning.weights
         return losses(module, six.float(), shape.float(), heading, target, weights)
 
+    compared = with_faults(fixed, fixed_seen, np.random.default_rng(20_260))
+
     def validate() -> dict[str, float]:
-        return loss((fixed, fixed_seen))[1]
+        return loss(compared)[1]
 
     return Task(list(module.net.parameters()), draw, loss, validate)
