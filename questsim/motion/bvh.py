@@ -146,7 +146,29 @@ def _move(
 
 
 def _read_hierarchy(lines: list[str], path: Path) -> tuple[_Header, int]:
-    """The header, and the index of the line after ``MOTION``."""
+    """The header, and the index of the line after ``MOTION``.
+
+    The files of a data set often have the same hierarchy, which is then parsed once.
+    """
+    try:
+        length = lines.index("MOTION") + 1
+    except ValueError:
+        return _parsed(lines, path)
+    key = "\n".join(lines[:length])
+    if key not in _HEADERS:
+        found = _parsed(lines, path)
+        if len(_HEADERS) >= MAX_HEADERS:
+            _HEADERS.clear()
+        _HEADERS[key] = found
+    return _HEADERS[key]
+
+
+_HEADERS: dict[str, tuple[_Header, int]] = {}
+"""Headers by the text of their lines; not to be changed."""
+MAX_HEADERS = 16
+
+
+def _parsed(lines: list[str], path: Path) -> tuple[_Header, int]:
     reader = _HierarchyReader(path)
     for number, line in enumerate(lines):
         words = line.split()

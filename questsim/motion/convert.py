@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container
+from functools import lru_cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -44,10 +45,16 @@ def axis_vector(axis: str) -> np.ndarray:
 
 def axes_matrix(axes: str, where: str = "") -> np.ndarray:
     """Columns: forward, left and up of an axes string such as ``"z -y x"``, ``(3, 3)``."""
-    matrix = np.stack([axis_vector(axis) for axis in axes.split()], axis=1)
-    if np.linalg.det(matrix) < 0.5:
+    matrix, right_handed = _axes(axes)
+    if not right_handed:
         raise InputError(f"axes {axes!r} are left-handed", where or None, "turn one axis round")
-    return matrix
+    return matrix.copy()
+
+
+@lru_cache(maxsize=64)
+def _axes(axes: str) -> tuple[np.ndarray, bool]:
+    matrix = np.stack([axis_vector(axis) for axis in axes.split()], axis=1)
+    return matrix, not np.linalg.det(matrix) < 0.5
 
 
 def world_axes(up: str) -> np.ndarray:
@@ -171,8 +178,22 @@ def _rest_rotations(
     Limb bones that are not straight in the family's rest pose are straightened by the shortest
     rotation, so that the hinge axes of knees and elbows stay lateral and vertical.
     """
+    own = _declared_axes(family, where)
+    turns = _straightening(family, own, bones, where)
     rest, straightened = {}, {}
-    longest = max(float(np.linalg.norm(bone)) for bone in bones.values())
+    for joint, matrix in own.items():
+        name = JOINTS[joint]
+        part, turn = name.split("_")[-1], turns.get(joint, np.eye(3))
+        if part == "wrist" or (part in ("ankle", "toe") and family.feet_follow_shins):
+            turn = straightened[JOINT_PARENTS[joint]]
+        straightened[joint] = turn
+        rest[joint] = matrix @ turn.T
+    return rest
+
+
+def _declared_axes(family: Family, where: str) -> dict[int, np.ndarray]:
+    """The family's T-pose axes ``(3, 3)`` of each mapped joint, before limbs are straightened."""
+    axes = {}
     for joint, name in enumerate(JOINTS):
         if name not in family.joints:
             continue
@@ -182,32 +203,50 @@ def _rest_rotations(
         pitch = {"ankle": family.foot_pitch, "toe": family.toe_pitch}.get(part, 0.0)
         if pitch:
             matrix = matrix @ Rotation.from_euler("y", -pitch).as_matrix()
-        turn = np.eye(3)
-        if name in STRAIGHT:
-            child, direction = STRAIGHT[name]
-            if np.linalg.norm(bones[JOINTS.index(child)]) <= MIN_BONE * longest:
-                raise InputError(
-                    f"the bone from {family.joints[name]!r} to {family.joints[child]!r} has no "
-                    "length",
-                    where,
-                    "export with all bones, or map other joints",
-                )
-            turn = _shortest_turn(matrix.T @ bones[JOINTS.index(child)], direction)
-        elif part == "wrist" or (part in ("ankle", "toe") and family.feet_follow_shins):
-            turn = straightened[JOINT_PARENTS[joint]]
-        straightened[joint] = turn
-        rest[joint] = matrix @ turn.T
-    return rest
+        axes[joint] = matrix
+    return axes
 
 
-def _shortest_turn(vector: np.ndarray, onto: np.ndarray) -> np.ndarray:
-    """The matrix ``(3, 3)`` of the shortest rotation that points ``vector`` along ``onto``."""
+def _straightening(
+    family: Family, axes: dict[int, np.ndarray], bones: dict[int, np.ndarray], where: str
+) -> dict[int, np.ndarray]:
+    """The turn ``(3, 3)`` that straightens each limb bone which the rest pose bends."""
+    longest = max(float(np.linalg.norm(bone)) for bone in bones.values())
+    turns = {}
+    for joint, matrix in axes.items():
+        if JOINTS[joint] not in STRAIGHT:
+            continue
+        child, direction = STRAIGHT[JOINTS[joint]]
+        bone = bones[JOINTS.index(child)]
+        if np.linalg.norm(bone) <= MIN_BONE * longest:
+            raise InputError(
+                f"the bone from {family.joints[JOINTS[joint]]!r} to {family.joints[child]!r} has "
+                "no length",
+                where,
+                "export with all bones, or map other joints",
+            )
+        turn = _shortest_turn(matrix.T @ bone, direction)
+        if turn is not None:
+            turns[joint] = turn
+    if not turns:
+        return {}
+    matrices = Rotation.from_rotvec(np.stack(list(turns.values()))).as_matrix()
+    return dict(zip(turns, matrices, strict=True))
+
+
+def _shortest_turn(vector: np.ndarray, onto: np.ndarray) -> np.ndarray | None:
+    """Rotation vector ``(3,)`` that points ``vector`` along ``onto``; None if it does already."""
     vector = vector / np.linalg.norm(vector)
-    axis = np.cross(vector, onto)
+    axis = _cross(vector, onto)
     sine = np.linalg.norm(axis)
-    if sine < 1e-12:
-        return np.eye(3)
-    return Rotation.from_rotvec(axis / sine * np.arctan2(sine, vector @ onto)).as_matrix()
+    return None if sine < 1e-12 else axis / sine * np.arctan2(sine, vector @ onto)
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The cross product of two single vectors; ``np.cross`` takes ten times as long."""
+    return np.array(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
 
 
 def _check_rigid(recording: Recording, mapped: Container[int], metres: float) -> None:
@@ -233,6 +272,10 @@ def _check_rigid(recording: Recording, mapped: Container[int], metres: float) ->
 
 def _toes(placed: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
     """Offsets ``(3,)`` of toes that the file lacks, for legs of their length."""
+    toes = [JOINTS.index(f"{side}_toe") for side in ("left", "right")]
+    missing = [joint for joint in toes if joint not in placed]
+    if not missing:
+        return {}
 
     def length(a: str, b: str) -> float:
         bone = placed[JOINTS.index(a)] - placed[JOINTS.index(b)]
@@ -245,8 +288,7 @@ def _toes(placed: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
     ]
     stature = sum(legs) / 2.0 / (0.530 - 0.039)
     toe = np.array([TOE_AHEAD, 0.0, -TOE_BELOW]) * stature
-    missing = [JOINTS.index(f"{s}_toe") for s in ("left", "right")]
-    return {joint: toe for joint in missing if joint not in placed}
+    return dict.fromkeys(missing, toe)
 
 
 def _offsets(
@@ -258,24 +300,28 @@ def _offsets(
     parent has no other child, the parent is rotated in ``turned`` to point at it.
     """
     offsets = np.zeros((NUM_JOINTS, 3))
-    placed = dict(placed)
+    mapped, placed = set(placed), dict(placed)
     for joint in range(1, NUM_JOINTS):
-        parent = JOINT_PARENTS[joint]
-        if joint in toes:
-            offsets[joint] = toes[joint]
+        if joint in toes or joint in placed:
             continue
-        missing = joint not in placed
-        target = placed[_next_mapped(joint, placed)] if missing else placed[joint]
+        parent = JOINT_PARENTS[joint]
+        target = placed[_next_mapped(joint, placed)]
         inverse = rot.quat_conjugate(turned[:, parent])
         bone = rot.quat_rotate(inverse, target - placed[parent])
-        mean = np.median(bone, axis=0)
-        if missing:
-            offsets[joint] = mean / 2.0
-            placed[joint] = placed[parent] + rot.quat_rotate(turned[:, parent], offsets[joint])
-            continue
-        offsets[joint] = mean
-        if np.linalg.norm(bone - mean, axis=-1).max() > 1e-3 and JOINT_PARENTS.count(parent) == 1:
-            _aim(turned[:, parent], bone, mean)
+        offsets[joint] = np.median(bone, axis=0) / 2.0
+        placed[joint] = placed[parent] + rot.quat_rotate(turned[:, parent], offsets[joint])
+    for joint, toe in toes.items():
+        offsets[joint] = toe
+    there = [j for j in range(1, NUM_JOINTS) if j in mapped]
+    parents = [JOINT_PARENTS[joint] for joint in there]
+    apart = np.stack([placed[j] - placed[p] for j, p in zip(there, parents, strict=True)], axis=1)
+    bent = rot.quat_rotate(rot.quat_conjugate(turned[:, parents]), apart)
+    offsets[there] = np.median(bent, axis=0)
+    strays = np.linalg.norm(bent - offsets[there], axis=-1).max(axis=0) > 1e-3
+    for column in np.flatnonzero(strays):
+        parent = parents[column]
+        if JOINT_PARENTS.count(parent) == 1:
+            _aim(turned[:, parent], bent[:, column], offsets[there[column]])
     return offsets
 
 

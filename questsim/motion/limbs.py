@@ -7,8 +7,6 @@ clip, ``retarget_stream`` for a stream of poses.
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -31,6 +29,7 @@ ARM_REST = {
 }
 # The shoulders' first two hinges are rotated about z by these angles (humanoid.xml).
 SHOULDER_TURN = {"left": -np.pi / 4, "right": np.pi / 4}
+ARM_JOINTS = ("wrist", "elbow", "shoulder")
 STRAIGHT_ARM_WEIGHT = 0.1
 """Weight of the upper arm's own hinge axis against the sine of its angle to the wrist's line."""
 
@@ -44,6 +43,11 @@ def _dofs(*names: str) -> list[int]:
     return [DOFS.index(name) for name in names]
 
 
+def _of_sides(*names: str) -> np.ndarray:
+    """Columns ``(2, n)`` of hinges, left and right."""
+    return np.array([_dofs(*(f"{side}_{name}" for name in names)) for side in SIDES])
+
+
 def _link_offset(link: str, height: float, proportions: Proportions | None = None) -> np.ndarray:
     return link_offsets(proportions)[LINKS.index(link)] * (height / DEFAULT_HEIGHT_M)
 
@@ -51,6 +55,11 @@ def _link_offset(link: str, height: float, proportions: Proportions | None = Non
 def _length(link: str, height: float, proportions: Proportions | None = None) -> float:
     """Metres from the parent's origin to the link's."""
     return float(np.linalg.norm(_link_offset(link, height, proportions)))
+
+
+def _lengths(part: str, height: float, proportions: Proportions | None = None) -> np.ndarray:
+    """``(2,)`` metres from the parent's origin to the left and the right link."""
+    return np.array([_length(f"{side}_{part}", height, proportions) for side in SIDES])
 
 
 def leg_m(height: float, proportions: Proportions | None = None) -> float:
@@ -91,8 +100,9 @@ def root_path(
 
 
 def _euler(relative: np.ndarray, order: str) -> np.ndarray:
-    """Intrinsic angles ``(T, 3)`` in radians, without jumps by full turns."""
-    return np.unwrap(rot.as_rotation(relative).as_euler(order), axis=0)
+    """Intrinsic angles ``(T, ..., 3)`` in radians, without jumps by full turns."""
+    angles = rot.as_rotation(relative).as_euler(order)
+    return np.unwrap(angles.reshape(*relative.shape[:-1], 3), axis=0)
 
 
 def _relative(parent: np.ndarray, child: np.ndarray) -> np.ndarray:
@@ -107,11 +117,10 @@ def fill_trunk(quat: np.ndarray, angles: np.ndarray) -> dict[str, np.ndarray]:
         "chest": quat[:, joint_index("spine3")],
         "head": quat[:, joint_index("head")],
     }
-    names = list(links)
-    for parent, child in pairwise(names):
-        hinge = "neck" if child == "head" else child
-        dofs = _dofs(f"{hinge}_y", f"{hinge}_x", f"{hinge}_z")
-        angles[:, dofs] = _euler(_relative(links[parent], links[child]), "YXZ")
+    chain = np.stack(list(links.values()), axis=1)
+    hinges = ("spine", "chest", "neck")
+    dofs = [_dofs(f"{hinge}_y", f"{hinge}_x", f"{hinge}_z") for hinge in hinges]
+    angles[:, dofs] = _euler(_relative(chain[:, :-1], chain[:, 1:]), "YXZ")
     return links
 
 
@@ -133,25 +142,25 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 
 
 def _frame(down: np.ndarray, left: np.ndarray) -> np.ndarray:
-    """Quaternions ``(T, 4)`` of links that hang along ``down`` with their y axis near ``left``."""
+    """Quaternions ``(..., 4)`` of links that hang along ``down``, their y axis near ``left``."""
     z = -_unit(down)
     y = _unit(left - np.sum(left * z, axis=-1, keepdims=True) * z)
     return rot.matrix_to_quat(np.stack([np.cross(y, z), y, z], axis=-1))
 
 
 def _two_bones(
-    reach: np.ndarray, axis: np.ndarray, upper: float, lower: float, bend: float
+    reach: np.ndarray, axis: np.ndarray, upper: np.ndarray, lower: np.ndarray, bend: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Bend a two-bone limb so that its end is at ``reach`` ``(T, 3)`` from its start.
+    """Bend both two-bone limbs so that their ends are at ``reach`` ``(T, 2, 3)`` from their starts.
 
     Args:
-        reach: from hip or shoulder to ankle or wrist, metres.
-        axis: ``(T, 3)`` approximate axis of the hinge in the world.
-        upper, lower: lengths of the bones in metres.
-        bend: sign of the hinge's rotation about its axis: +1 knee, -1 elbow.
+        reach: from hips or shoulders to ankles or wrists, metres.
+        axis: ``(T, 2, 3)`` approximate axes of the hinges in the world.
+        upper, lower: ``(2,)`` lengths of the bones in metres.
+        bend: sign of the hinges' rotation about their axes: +1 knees, -1 elbows.
 
     Returns:
-        orientations ``(T, 4)`` of the upper and the lower link, and the hinge angle ``(T,)``.
+        orientations ``(T, 2, 4)`` of the upper and the lower links, and the angles ``(T, 2)``.
     """
     distance = np.linalg.norm(reach, axis=-1)
     distance = np.clip(distance, abs(upper - lower) + 1e-3, FULL_STRETCH * (upper + lower))
@@ -169,33 +178,30 @@ def _about_y(angle: np.ndarray) -> np.ndarray:
     return np.stack([np.cos(angle / 2), zero, np.sin(angle / 2), zero], axis=-1)
 
 
-def fill_leg(
-    side: str,
+def fill_legs(
     root: np.ndarray,
     quat: np.ndarray,
-    ankle: np.ndarray,
-    foot: np.ndarray,
+    ankles: np.ndarray,
+    feet: np.ndarray,
     height: float,
     angles: np.ndarray,
     proportions: Proportions | None = None,
 ) -> None:
-    """Fill the six angles of a leg: ankle at ``ankle`` ``(T, 3)``, foot oriented as ``foot``."""
-    pelvis = quat[:, joint_index("root")]
-    hip = hips_of(root, quat, height, proportions)[:, SIDES.index(side)]
-    knee_axis = rot.quat_rotate(quat[:, joint_index(f"{side}_hip")], np.array([0.0, 1.0, 0.0]))
-    thigh_length = _length(f"{side}_shin", height, proportions)
-    shin_length = _length(f"{side}_foot", height, proportions)
-    thigh, shin, knee = _two_bones(ankle - hip, knee_axis, thigh_length, shin_length, bend=1.0)
-    angles[:, _dofs(f"{side}_hip_y", f"{side}_hip_x", f"{side}_hip_z")] = _euler(
-        _relative(pelvis, thigh), "YXZ"
-    )
-    angles[:, _dofs(f"{side}_knee_y")] = knee[:, None]
-    relative = _relative(shin, foot)
-    angles[:, _dofs(f"{side}_ankle_y", f"{side}_ankle_x")] = _euler(relative, "YXZ")[:, :2]
+    """Fill the angles of the legs: ankles at ``(T, 2, 3)``, feet oriented as ``(T, 2, 4)``."""
+    pelvis = quat[:, joint_index("root"), None]
+    hips = hips_of(root, quat, height, proportions)
+    thighs = quat[:, [joint_index(f"{side}_hip") for side in SIDES]]
+    knee_axes = rot.quat_rotate(thighs, np.array([0.0, 1.0, 0.0]))
+    upper, lower = (_lengths(part, height, proportions) for part in ("shin", "foot"))
+    thigh, shin, knee = _two_bones(ankles - hips, knee_axes, upper, lower, bend=1.0)
+    turns = np.stack([_relative(pelvis, thigh), _relative(shin, feet)], axis=1)
+    found = _euler(turns, "YXZ")
+    angles[:, _of_sides("hip_y", "hip_x", "hip_z")] = found[:, 0]
+    angles[:, _of_sides("knee_y")] = knee[..., None]
+    angles[:, _of_sides("ankle_y", "ankle_x")] = found[:, 1, :, :2]
 
 
-def fill_arm(
-    side: str,
+def fill_arms(
     motion: Motion,
     position: np.ndarray,
     quat: np.ndarray,
@@ -204,34 +210,36 @@ def fill_arm(
     angles: np.ndarray,
     proportions: Proportions | None = None,
 ) -> None:
-    """Fill the six angles of an arm; positions are relative, so the root does not matter."""
-    upper_length = _length(f"{side}_forearm", height, proportions)
-    lower_length = _length(f"{side}_hand", height, proportions)
-    shoulder = _link_offset(f"{side}_upper_arm", height, proportions)
+    """Fill the angles of the arms; positions are relative, so the root does not matter."""
+    upper_lengths, lower_lengths = (
+        _lengths(part, height, proportions) for part in ("forearm", "hand")
+    )
+    shoulders = np.stack([_link_offset(f"{s}_upper_arm", height, proportions) for s in SIDES])
     span, centre = _arm_rest(motion)
-    ratio = (abs(shoulder[1]) + upper_length + lower_length) / span
+    ratios = (np.abs(shoulders[:, 1]) + upper_lengths + lower_lengths) / span
     spine = joint_index("spine3")
     middle = position[:, spine] + rot.quat_rotate(quat[:, spine], centre)
-    wrist = (position[:, joint_index(f"{side}_wrist")] - middle) * ratio
-    lateral = rot.quat_rotate(links["chest"], shoulder * np.array([0.0, 1.0, 0.0]))
-    reach = wrist - lateral
+    wrists, elbows, starts = ([joint_index(f"{s}_{part}") for s in SIDES] for part in ARM_JOINTS)
+    wrist = (position[:, wrists] - middle[:, None]) * ratios[:, None]
+    across = shoulders * np.array([0.0, 1.0, 0.0])
+    reach = wrist - rot.quat_rotate(links["chest"][:, None], across)
 
-    upper = position[:, joint_index(f"{side}_elbow")] - position[:, joint_index(f"{side}_shoulder")]
-    rest = ARM_REST[side]
-    own = rot.quat_multiply(quat[:, joint_index(f"{side}_shoulder")], rest)
-    own_axis = rot.quat_rotate(own, np.array([0.0, 1.0, 0.0]))
+    upper = position[:, elbows] - position[:, starts]
+    rest = np.stack([ARM_REST[side] for side in SIDES])
+    own_axis = rot.quat_rotate(rot.quat_multiply(quat[:, starts], rest), np.array([0.0, 1.0, 0.0]))
     # A bent arm defines its plane; towards a straight arm, the upper arm's axis takes over.
     axis = np.cross(_unit(reach), _unit(upper)) + STRAIGHT_ARM_WEIGHT * own_axis
-    arm, forearm, elbow = _two_bones(reach, axis, upper_length, lower_length, bend=-1.0)
+    arm, forearm, elbow = _two_bones(reach, axis, upper_lengths, lower_lengths, bend=-1.0)
 
-    turn = rot.yaw_quat(np.array(SHOULDER_TURN[side]))
-    relative = rot.quat_multiply(_relative(turn, _relative(links["chest"], arm)), turn)
-    dofs = _dofs(f"{side}_shoulder_x", f"{side}_shoulder_y", f"{side}_shoulder_z")
+    turn = np.stack([rot.yaw_quat(np.array(SHOULDER_TURN[side])) for side in SIDES])
+    relative = _relative(turn, _relative(links["chest"][:, None], arm))
+    relative = rot.quat_multiply(relative, turn)
+    dofs = _of_sides("shoulder_x", "shoulder_y", "shoulder_z")
     angles[:, dofs] = _within_turn(_euler(relative, "XYZ"), dofs)
-    angles[:, _dofs(f"{side}_elbow_y")] = elbow[:, None]
-    hand = rot.quat_multiply(quat[:, joint_index(f"{side}_wrist")], rest)
-    dofs = _dofs(f"{side}_wrist_z", f"{side}_wrist_x")
-    angles[:, dofs] = _within_turn(_euler(_relative(forearm, hand), "ZXY")[:, :2], dofs)
+    angles[:, _of_sides("elbow_y")] = elbow[..., None]
+    hand = rot.quat_multiply(quat[:, wrists], rest)
+    dofs = _of_sides("wrist_z", "wrist_x")
+    angles[:, dofs] = _within_turn(_euler(_relative(forearm, hand), "ZXY")[..., :2], dofs)
 
 
 def _arm_rest(motion: Motion) -> tuple[float, np.ndarray]:
@@ -249,9 +257,9 @@ def _arm_rest(motion: Motion) -> tuple[float, np.ndarray]:
     return float(span), centre
 
 
-def _within_turn(values: np.ndarray, dofs: list[int]) -> np.ndarray:
-    """Adds full turns to angles ``(T, len(dofs))`` to bring them close to their ranges."""
+def _within_turn(values: np.ndarray, dofs: np.ndarray) -> np.ndarray:
+    """Adds full turns to angles ``(T, *dofs.shape)`` to bring them close to their ranges."""
     limits = build_body().model.jnt_range[1:][dofs]
-    middle = limits.mean(axis=1)
+    middle = limits.mean(axis=-1)
     turns = np.round((np.median(values, axis=0) - middle) / (2 * np.pi))
     return values - 2 * np.pi * turns

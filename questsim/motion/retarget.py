@@ -22,10 +22,9 @@ from questsim.motion.clip import FPS, Clip
 from questsim.motion.footing import ANKLES, Footing, footing_of, leg_targets
 from questsim.motion.kinematics import clip_from_qpos, link_poses, sole_positions
 from questsim.motion.limbs import (
-    SIDES,
     ankle_rise,
-    fill_arm,
-    fill_leg,
+    fill_arms,
+    fill_legs,
     fill_trunk,
     hips_of,
     joint_index,
@@ -71,8 +70,7 @@ def to_clip(
     position, quat = motion.forward_kinematics()
     angles = np.zeros((len(motion), NUM_DOFS))
     links = fill_trunk(quat, angles)
-    for side in SIDES:
-        fill_arm(side, motion, position, quat, links, height, angles, body)
+    fill_arms(motion, position, quat, links, height, angles, body)
     rise = footing.rise_m if footing else ankle_rise(motion, position)
     root, ankles = leg_targets(motion, position, quat, height, rise, body)
     feet = quat[:, ANKLES]
@@ -152,8 +150,7 @@ def solve_legs(
     limits = build_body().model.jnt_range[1:]
     wanted = sole_positions(ankles, feet, height).mean(axis=-2)
     for attempt in (1, 2):
-        for index, side in enumerate(SIDES):
-            fill_leg(side, root, quat, ankles[:, index], feet[:, index], height, angles, body)
+        fill_legs(root, quat, ankles, feet, height, angles, body)
         qpos = np.concatenate(
             [root, quat[:, 0], np.clip(angles, limits[:, 0], limits[:, 1])], axis=-1
         )

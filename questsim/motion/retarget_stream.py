@@ -14,7 +14,7 @@ import numpy as np
 from questsim.body import build_body
 from questsim.motion.footing import ANKLES, leg_targets, measure_footing
 from questsim.motion.kinematics import sole_positions
-from questsim.motion.limbs import SIDES, fill_arm, fill_leg, fill_trunk, hips_of, leg_m
+from questsim.motion.limbs import fill_arms, fill_legs, fill_trunk, hips_of, leg_m
 from questsim.motion.motion import Motion
 from questsim.motion.stance import lowest_point
 from questsim.motion.stance_stream import StancePlanter
@@ -66,8 +66,7 @@ class StreamRetargeter:
         """The avatar's ``qpos`` ``(T, 40)`` for the targets of root and ankles over the floor."""
         angles = np.zeros((len(poses), NUM_DOFS))
         links = fill_trunk(quat, angles)
-        for side in SIDES:
-            fill_arm(side, poses, position, quat, links, self._height, angles)
+        fill_arms(poses, position, quat, links, self._height, angles)
         feet, bears = quat[:, ANKLES], np.zeros(ankles.shape[:2])
         if self._planter is not None:
             hips = hips_of(root, quat, self._height)
@@ -109,8 +108,7 @@ class StreamRetargeter:
         feet: np.ndarray,
         angles: np.ndarray,
     ) -> np.ndarray:
-        for index, side in enumerate(SIDES):
-            fill_leg(side, root, quat, ankles[:, index], feet[:, index], self._height, angles)
+        fill_legs(root, quat, ankles, feet, self._height, angles)
         hinges = _within_limits(angles, self._angles)
         return np.concatenate([root, quat[:, 0], hinges], axis=-1)
 

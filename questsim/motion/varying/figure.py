@@ -14,7 +14,7 @@ from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M, build_body
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.kinematics import foot_contacts, link_offsets, link_poses
-from questsim.motion.limbs import FULL_STRETCH, SIDES, fill_leg, joint_index
+from questsim.motion.limbs import FULL_STRETCH, SIDES, fill_legs, joint_index
 from questsim.motion.synthesis.balance import lowering
 from questsim.skeleton import FOOT_LINKS, LINKS, NUM_JOINTS
 
@@ -194,9 +194,7 @@ def _with_legs(figure: Figure, root: np.ndarray) -> np.ndarray:
     quat = np.zeros((len(figure), NUM_JOINTS, 4))
     quat[:, joint_index("root")] = figure.pelvis
     angles = figure.angles.copy()
-    for index, side in enumerate(SIDES):
-        quat[:, joint_index(f"{side}_hip")] = figure.thigh[:, index]
-        ankle, foot = figure.ankle[:, index], figure.foot[:, index]
-        fill_leg(side, root, quat, ankle, foot, DEFAULT_HEIGHT_M, angles)
+    quat[:, [joint_index(f"{side}_hip") for side in SIDES]] = figure.thigh
+    fill_legs(root, quat, figure.ankle, figure.foot, DEFAULT_HEIGHT_M, angles)
     angles = np.clip(angles, limits[:, 0], limits[:, 1])
     return np.concatenate([root, figure.pelvis, angles], axis=-1)
