@@ -92,7 +92,6 @@ def test_every_mode_explains_itself_and_names_the_others(modes: Modes, capsys):
     [
         {"env": "QuestSimRough-v0"},
         {"height": 1.8},
-        {"avatar_height": 1.8},
         {"terrain": "rough"},
         {"objects": ("ball",)},
     ],

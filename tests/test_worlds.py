@@ -28,6 +28,7 @@ from envs.terrain_kinds import SHAPES
 from questsim import reward
 from questsim.cli import main
 from questsim.errors import InputError
+from questsim.motion.datasets import DATASETS
 from questsim.motion.library import save_library
 from questsim.motion.retarget_back import to_motion
 from questsim.motion.spec import load_motions
@@ -173,7 +174,7 @@ def test_rollouts_on_a_terrain_are_scored_against_the_clip_on_its_feet_there() -
     [
         (("evaluate", "--agent", "zero", "--terrain", "lava"), "unknown terrain 'lava'"),
         (("evaluate", "--agent", "zero", "--objects", "ball", "lava"), "unknown object 'lava'"),
-        (("evaluate", "--agent", "zero", "--avatar-height", "3"), "1.2-2.2 m"),
+        (("evaluate", "--agent", "zero", "--height", "3"), "1.2-2.2 m"),
         (("train", "--out", "run", "--env", "rough:amplitude_m=9"), "amplitude_m is 9"),
         (("envs", "--name", "QuestSimMoon-v0"), "there is no 'QuestSimMoon-v0'"),
     ],
@@ -222,7 +223,7 @@ def test_a_fine_tuning_that_found_nothing_better_says_so(tmp_path) -> None:
 @pytest.fixture
 def registries() -> Iterator[None]:
     """Terms and terrains, as other tests expect them, after this one."""
-    known: list[dict[str, Any]] = [reward.TERMS, TERRAINS, SHAPES]
+    known: list[dict[str, Any]] = [reward.TERMS, TERRAINS, SHAPES, DATASETS]
     before = [dict(registry) for registry in known]
     yield
     for registry, kept in zip(known, before, strict=True):
@@ -231,7 +232,7 @@ def registries() -> Iterator[None]:
     reward.RewardConfig.__dataclass_fields__ = reward._options()
 
 
-@pytest.mark.parametrize("name", ["new_terrain", "new_reward", "new_agent"])
+@pytest.mark.parametrize("name", ["new_terrain", "new_reward", "new_agent", "new_dataset"])
 @pytest.mark.usefixtures("registries")
 def test_the_examples_run_and_are_short(name: str) -> None:
     path = ROOT / "docs" / "examples" / f"{name}.py"
@@ -241,5 +242,7 @@ def test_the_examples_run_and_are_short(name: str) -> None:
         assert result.floor.max() > 0.0 and result.placement.field.height.max() > 0.02
     elif name == "new_reward":
         assert (result[0] > result[1]).all()
+    elif name == "new_dataset":
+        assert [clip.name for clip in result] == ["synthetic-stand-2", "synthetic-stand-3"]
     else:
         assert result["all"]["clips"] == 1

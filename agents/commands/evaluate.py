@@ -39,7 +39,6 @@ _OF_PHYSICS = (
     "env",
     "height",
     "own_proportions",
-    "avatar_height",
     "terrain",
     "objects",
     "begin",
@@ -67,14 +66,7 @@ def evaluate(args: EvaluateArgs) -> int:
 
     at_least(1, threads=args.threads, max_clips=args.max_clips, seeds=args.seeds)
     at_least(0, seed=args.seed)
-    if args.video_clips and not args.video:
-        raise InputError("needs a video", "--video-clips", "add --video")
-    if args.video and args.out is None:
-        raise InputError("needs a folder", "--video", "add --out DIR")
-    if args.save_motion is not None:
-        check_format(args.save_motion, "--save-motion")
-        if args.out is None:
-            raise InputError("needs a folder", "--save-motion", "add --out DIR")
+    _check_outputs(args)
     found = resolve(args.agent)
     _refuse_unused(args, ("sensors",) if found.torques else _OF_PHYSICS)
     if args.out is not None:
@@ -83,8 +75,7 @@ def evaluate(args: EvaluateArgs) -> int:
     if not found.torques:
         return _evaluate_system(args, found)
     agent = load_agent(found)
-    height = args.height if args.avatar_height is None else args.avatar_height
-    config = _config_of(args, env_config(agent, args.env, height, args.body))
+    config = _config_of(args, env_config(agent, args.env, args.height, args.body))
     _refuse_own_body(args, config)
     check_random(agent, config, args.seeds)
     if args.seeds > 1 and args.assist:
@@ -111,6 +102,18 @@ def evaluate(args: EvaluateArgs) -> int:
     return report(args, runs[0], context)
 
 
+def _check_outputs(args: EvaluateArgs) -> None:
+    """Refuse files that have no folder, and clips of a video without a video."""
+    if args.video_clips and not args.video:
+        raise InputError("needs a video", "--video-clips", "add --video")
+    if args.video and args.out is None:
+        raise InputError("needs a folder", "--video", "add --out DIR")
+    if args.save_motion is not None:
+        check_format(args.save_motion, "--save-motion")
+        if args.out is None:
+            raise InputError("needs a folder", "--save-motion", "add --out DIR")
+
+
 def _assisted(assist: AssistUse | None) -> dict[str, Any]:
     """Print the use of the assist and return it for the report; empty without assist."""
     if assist is None:
@@ -120,14 +123,12 @@ def _assisted(assist: AssistUse | None) -> dict[str, Any]:
 
 
 def _refuse_unused(args: EvaluateArgs, options: Sequence[str]) -> None:
-    """Refuse options that this agent does not use, and --height with --avatar-height."""
+    """Refuse options that this agent does not use."""
     plain = {field.name: field.default for field in fields(EvaluateArgs)}
     for option in options:
         if getattr(args, option) != plain[option]:
             flag = f"--{option.replace('_', '-')}"
             raise InputError(f"does not go with {args.agent}", flag, "leave it out")
-    if args.height is not None and args.avatar_height is not None:
-        raise InputError("does not go with --avatar-height", "--height", "give one of them")
 
 
 def _refuse_own_body(args: EvaluateArgs, config: EnvConfig) -> None:

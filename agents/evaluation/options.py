@@ -45,11 +45,10 @@ class EvaluateArgs(_FollowArgs):
     """A body of your own instead of our avatar: a TOML file (docs/body.md), or gymnasium-humanoid;
     by default the one that the policy was trained for."""
     height: float | None = None
-    """Scale avatar and clips to this stature in metres; by default each motion's own."""
+    """Scale avatar, clips and device signals to this stature in metres; by default each motion's
+    own. For an avatar of another stature than its user see --unscaled."""
     own_proportions: bool = False
     """Give each motion's avatar the proportions of its performer, not only the stature."""
-    avatar_height: float | None = None
-    """Stature in metres of an avatar that differs from its user; device signals are scaled."""
     unscaled: float = 0.0
     """Stature in metres of the avatar minus its user's; device signals are not scaled then."""
     terrain: Annotated[

@@ -8,7 +8,7 @@ import io
 import os
 import re
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
@@ -23,6 +23,8 @@ from questsim.files import whole_file
 DATA = Path(__file__).parent / "data"
 MAX_MEMBER_BYTES = 64 * 2**20
 SPLITS = ("train", "test")
+FORMATS = (".bvh", ".npz")
+"""Endings of the motion files of a data set."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,8 @@ class Dataset:
         licence: SPDX identifier.
         credit: the attribution and the source.
         data: the folder of ``NAME.sha256.gz`` (a line ``DIGEST  FILE`` for each clip) and
-            ``NAME-test.txt`` (names of the test clips); None for the package's own.
+            ``NAME-test.txt`` (names of the test clips), see ``write_manifest``; None for the
+            package's own.
     """
 
     name: str
@@ -76,8 +79,40 @@ def register_dataset(dataset: Dataset) -> None:
         raise InputError(f"{name!r} cannot name a data set", "register_dataset")
     for file in (f"{name}.sha256.gz", f"{name}-test.txt"):
         if not ((dataset.data or DATA) / file).is_file():
-            raise InputError(f"there is no {file}", dataset.data or DATA, "see datasets.Dataset")
+            raise InputError(f"there is no {file}", dataset.data or DATA, "write_manifest makes it")
     DATASETS[name] = dataset
+
+
+def write_manifest(dataset: Dataset, archive: Path, test: Collection[str]) -> None:
+    """Write the manifest and the test list of a new data set into its folder ``data``.
+
+    Args:
+        dataset: the data set, not yet registered.
+        archive: a zip file that holds the motion files in the data set's ``folder``.
+        test: names of the test clips: their files' names without ending.
+
+    Raises:
+        InputError: there are no motion files, two have one name, or a test clip is not among them.
+    """
+    digests: dict[str, str] = {}
+    with zipfile.ZipFile(archive) as outer:
+        for name, content in _members(outer, dataset):
+            if Path(name).suffix.lower() not in FORMATS:
+                continue
+            if Path(name).stem in {Path(other).stem for other in digests}:
+                raise InputError(f"two files are named {name}", archive, "rename one")
+            digests[name] = hashlib.sha256(content()).hexdigest()
+    if not digests:
+        what = f"no {' or '.join(FORMATS)} files in a folder {dataset.folder!r}"
+        raise InputError(what, archive, "name the archive's own folder in the Dataset")
+    missing = sorted(set(test) - {Path(name).stem for name in digests})
+    if missing:
+        first = ", ".join(sorted(Path(name).stem for name in digests)[:5])
+        raise InputError(f"no clip {missing[0]!r}", archive, f"its clips: {first}, ...")
+    data = dataset.data or DATA
+    lines = "".join(f"{digest}  {name}\n" for name, digest in sorted(digests.items()))
+    _write(data / f"{dataset.name}.sha256.gz", gzip.compress(lines.encode(), mtime=0))
+    _write(data / f"{dataset.name}-test.txt", "".join(f"{n}\n" for n in sorted(test)).encode())
 
 
 def _data(name: str) -> Path:
