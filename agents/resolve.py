@@ -96,6 +96,11 @@ class Resolved:
         return self.kind in ("policy", "baseline", "own")
 
     @property
+    def simulated(self) -> bool:
+        """Whether its avatar moves by physics; a kinematic system alone outputs poses."""
+        return self.kind != "system"
+
+    @property
     def training(self) -> dict[str, Any]:
         """The training record in its card."""
         training = self.card.get("training")

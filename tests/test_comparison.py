@@ -118,17 +118,17 @@ def test_only_scenarios_of_the_sensors_given_are_run():
     planned = plan((), "H+2C")
     assert {"hmdposer", "lgsik", "lgsik+physics", "questsim"} <= set(planned)
     assert not {"ik", "questsim-headset"} & set(planned)
-    names = [scenario.name for scenario in planned["hmdposer"]]
+    names = [scenario.name for scenario in planned["hmdposer"].scenarios]
     assert names == ["HMD", "HMD, window 40"]
-    assert [scenario.name for scenario in planned["hmdposer+physics"]] == ["HMD"]
+    assert [scenario.name for scenario in planned["hmdposer+physics"].scenarios] == ["HMD"]
 
 
 def test_a_tracker_on_a_foot_is_one_wherever_it_is_worn(tmp_path):
     drag = saved("dragposer", tmp_path / "drag")
     planned = plan(("ik", drag), "6T")
-    assert [scenario.name for scenario in planned["ik"]] == ["6"]
-    assert "6, 1 iteration" in [scenario.name for scenario in planned[drag]]
-    assert not {"4", "5 no left foot"} & {scenario.name for scenario in planned[drag]}
+    assert [scenario.name for scenario in planned["ik"].scenarios] == ["6"]
+    assert "6, 1 iteration" in [scenario.name for scenario in planned[drag].scenarios]
+    assert not {"4", "5 no left foot"} & {scenario.name for scenario in planned[drag].scenarios}
 
 
 def test_end_effectors_are_those_that_carry_a_device(tmp_path):

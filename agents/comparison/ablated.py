@@ -20,6 +20,7 @@ from agents.kinematic.training import train_system
 from agents.overrides import with_overrides
 from agents.policy.checkpoint import CARD_FILE as POLICY_CARD
 from agents.policy.checkpoint import read_card
+from agents.resolve import resolve
 from agents.training.options import TrainArgs
 from agents.training.presets import PRESETS, PPOConfig, Preset, StageConfig
 from agents.training.train_policy import train
@@ -169,8 +170,9 @@ class PolicyAblated:
         self, folder: Path, variant: Variant, motions: Sequence[Motion], seed: int
     ) -> list[Row]:
         """See ``Ablated``."""
-        (scenario,) = suiting(str(folder), None)
-        plan = Plan(str(folder), scenario, None, ("user",))
+        agent = resolve(folder)
+        (scenario,) = suiting(agent, None)
+        plan = Plan(agent, scenario, None, ("user",))
         jobs = [plan.job(motion, seed + i) for i, motion in enumerate(motions)]
         ((_, summaries),) = simulated(plan, jobs, 1, map, {})
         (cost,) = plan_costs(plan, motions, None)

@@ -10,11 +10,12 @@ import hashlib
 import json
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from agents.comparison.conditions import NOISES
+from agents.comparison.conditions import NOISES, Noise
 from agents.comparison.costs import plan_costs
 from agents.comparison.drawn import (
     DRAWN,
@@ -41,7 +42,7 @@ from agents.resolve import (
     PHYSICS,
     SYNTHETIC_POLICY,
     UNTRAINED,
-    base_of,
+    Resolved,
     resolve,
     shipped_policies,
     shipped_systems,
@@ -80,13 +81,10 @@ def compare(args: CompareArgs) -> int:
     check_writable(out)
     everything = load_recordings(args.motions, seed=args.seed)
     recordings = at_sensor_rate(everything, args.max_clips)
-    filmed: Sequence[Motion] = ()
-    if args.video:
-        from agents.comparison.film import to_be_filmed
-
-        filmed = to_be_filmed(everything if args.video_clips else recordings, args.video_clips)
+    fewer = choose_clips(recordings, args.fewer_clips or len(recordings))
+    filmed = _filmed(args, everything, recordings)
     context: dict[str, Any] = {
-        "agents": {agent: resolve(agent).training for agent in planned},
+        "agents": {name: each.agent.training for name, each in planned.items()},
         "tracker": resolve(TRACKER).training,
         "data": motions_record(args.motions, recordings),
         "versions": versions(),
@@ -94,18 +92,19 @@ def compare(args: CompareArgs) -> int:
         "fewer_clips": args.fewer_clips,
     }
     plans = all_plans(planned, args)
+    work = [Work(plan, recordings if plan.plain else fewer) for plan in plans]
     common = {name: context[name] for name in context if name not in ("agents", "tracker")}
-    with Record(out, common, {agent: digest(agent) for agent in (RECORDING, *planned)}) as record:
+    digests = {name: digest(each.agent) for name, each in planned.items()}
+    with Record(out, common, {RECORDING: RECORDING} | digests) as record:
         try:
-            scored = _scored(plans, recordings, args, record)
+            scored = _scored(work, recordings, args, record)
         except KeyboardInterrupt:
             print(f"stopped; the same command goes on in {out}", file=sys.stderr)
             return INTERRUPTED
     if not scored:
         raise InputError("no row is complete yet", out, "leave --finished out")
     places = {recording.name: place for place, recording in enumerate(recordings)}
-    fewer = [places[motion.name] for motion in _fewer(recordings, args)]
-    if pairs := predictor_pairs(scored, fewer):
+    if pairs := predictor_pairs(scored, [places[motion.name] for motion in fewer]):
         with whole_file(out / PREDICTOR) as path:
             predictor_over_time(pairs, path)
     _write_all(scored, context, out)
@@ -117,6 +116,17 @@ def compare(args: CompareArgs) -> int:
         if film(shown, filmed, out, args.threads, args.starts[0]):
             worst_strips([row for row, _ in compared(scored)], recordings, out, args.threads)
     return 0
+
+
+def _filmed(
+    args: CompareArgs, everything: Sequence[Motion], recordings: Sequence[Motion]
+) -> Sequence[Motion]:
+    """The motions of the film; none without ``--video``."""
+    if not args.video:
+        return ()
+    from agents.comparison.film import to_be_filmed
+
+    return to_be_filmed(everything if args.video_clips else recordings, args.video_clips)
 
 
 def _write_all(scored: Sequence[Scored], context: dict[str, Any], out: Path) -> None:
@@ -138,15 +148,12 @@ def _write_all(scored: Sequence[Scored], context: dict[str, Any], out: Path) -> 
     print(f"written to {out}")
 
 
-def _simulated(agent: str) -> bool:
-    return resolve(agent).torques or base_of(agent) is not None
-
-
-def _refuse_unused(args: CompareArgs, planned: Mapping[str, Sequence[Scenario]]) -> None:
+def _refuse_unused(args: CompareArgs, planned: Mapping[str, Planned]) -> None:
     """Refuse options that change nothing in the rows, and rows that are asked for twice."""
-    if args.starts != CompareArgs(out=args.out).starts and not any(map(_simulated, planned)):
+    simulated = any(each.agent.simulated for each in planned.values())
+    if args.starts != CompareArgs(out=args.out).starts and not simulated:
         raise InputError("does nothing: no agent has physics", "--starts", "leave it out")
-    if args.windows and not any(s.online for scenarios in planned.values() for s in scenarios):
+    if args.windows and not any(s.online for each in planned.values() for s in each.scenarios):
         what = "does nothing: no agent has the protocol with windows"
         raise InputError(what, "--windows", "leave it out")
     for option, values in (("starts", args.starts), ("noise", args.noise)):
@@ -154,95 +161,92 @@ def _refuse_unused(args: CompareArgs, planned: Mapping[str, Sequence[Scenario]])
             raise InputError("has a value twice", f"--{option}", "give each once")
 
 
-def all_plans(planned: Mapping[str, Sequence[Scenario]], args: CompareArgs) -> list[Plan]:
+def all_plans(planned: Mapping[str, Planned], args: CompareArgs) -> list[Plan]:
     """Everything to be computed: the recording, then each agent's scenarios and conditions.
 
     Noise applies to plain scenarios; with physics it is followed from the first start alone.
     """
-    plans = [Plan(RECORDING, Scenario("60 Hz", ()))]
-    for agent, scenarios in planned.items():
-        starts = args.starts if _simulated(agent) else ()
-        kept = agent + PHYSICS in planned
-        for scenario in scenarios:
+    plans = [Plan(None, Scenario("60 Hz", ()))]
+    for name, each in planned.items():
+        agent = each.agent
+        starts = args.starts if agent.simulated else ()
+        kept = name + PHYSICS in planned
+        for scenario in each.scenarios:
             if scenario.online and not args.windows:
                 continue
             plans.append(Plan(agent, scenario, None, starts, kept))
             if scenario.plain:
-                plans += [Plan(agent, scenario, each, starts[:1], kept) for each in args.noise]
+                plans += [Plan(agent, scenario, noise, starts[:1], kept) for noise in args.noise]
     return plans
 
 
-def digest(agent: str) -> str:
+def digest(agent: Resolved) -> str:
     """A digest of everything trained that an agent's rows depend on."""
-    if agent == RECORDING:
-        return RECORDING
-    parts, found = [agent], resolve(agent)
-    if found.kind == "physics":
-        parts.append(TRACKER)
-    elif found.torques:  # begins in its estimates
-        parts.append(DEFAULT_SYSTEM)
+    parts = [agent]
+    if agent.kind == "physics":
+        parts.append(resolve(TRACKER))
+    elif agent.torques:  # begins in its estimates
+        parts.append(resolve(DEFAULT_SYSTEM))
     whole = hashlib.sha256()
     for part in parts:
-        each = resolve(part)
-        whole.update(json.dumps(each.training, sort_keys=True, default=str).encode())
-        for file in sorted(each.folder.glob("*.safetensors")) if each.folder else ():
+        whole.update(json.dumps(part.training, sort_keys=True, default=str).encode())
+        for file in sorted(part.folder.glob("*.safetensors")) if part.folder else ():
             whole.update(file.read_bytes())
     return whole.hexdigest()[:16]
 
 
-def _fewer(motions: Sequence[Motion], args: CompareArgs) -> list[Motion]:
-    """The motions of rows that are limited by ``--fewer-clips``."""
-    return choose_clips(motions, args.fewer_clips or len(motions))
+class Work(NamedTuple):
+    """A plan and its clips."""
+
+    plan: Plan
+    motions: Sequence[Motion]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the clips."""
+        return [motion.name for motion in self.motions]
 
 
 def _scored(
-    plans: Sequence[Plan], motions: Sequence[Motion], args: CompareArgs, record: Record
+    work: Sequence[Work], motions: Sequence[Motion], args: CompareArgs, record: Record
 ) -> list[Scored]:
     """Compute what is missing and make all rows; times are measured at the end, in one pass."""
-    fewer = _fewer(motions, args)
-    clips = {id(plan): motions if plan.plain else fewer for plan in plans}
-    names = {key: [motion.name for motion in each] for key, each in clips.items()}
     if not args.finished:
-        _compute(plans, clips, names, args, record)
+        _compute(work, args, record)
     scored, measured = [], {} if args.times else None
-    for plan in plans:
-        there = [not record.missing([plan.key(row)], names[id(plan)]) for row in plan.rows]
+    for each in work:
+        plan, names = each.plan, each.names
+        there = [not record.missing([plan.key(row)], names) for row in plan.rows]
         if not any(there):
             continue
         costs = plan_costs(plan, motions, measured)
         for row, cost, complete in zip(plan.rows, costs, there, strict=True):
             if complete:
-                found = record.of(plan.key(row), names[id(plan)])
-                scored.append((row_of(plan.agent, row, found, cost, names[id(plan)]), found))
+                found = record.of(plan.key(row), names)
+                scored.append((row_of(plan.name, row, found, cost, names), found))
     return scored
 
 
-def _compute(
-    plans: Sequence[Plan],
-    clips: Mapping[int, Sequence[Motion]],
-    names: Mapping[int, Sequence[str]],
-    args: CompareArgs,
-    record: Record,
-) -> None:
+def _compute(work: Sequence[Work], args: CompareArgs, record: Record) -> None:
     """Compute the clips that the record lacks, and show how long it will take.
 
     Args:
-        plans: of all rows.
-        clips, names: motions of each plan and their names, by the plan's ``id``.
+        work: plans of all rows with their clips.
         args: seed and threads.
         record: gets the results.
     """
-    left = sum(
-        len(record.missing([plan.key(row) for row in plan.rows], names[id(plan)])) for plan in plans
-    )
+    left = 0
+    for each in work:
+        keys = [each.plan.key(row) for row in each.plan.rows]
+        left += len(record.missing(keys, each.names))
     whole, done, rate, began = max(left, 1), 0, 0.0, time.monotonic()
     estimates = Estimates()
     with Display() as display, workers(args.threads, args.workers, args.ray) as mapper:
-        for number, plan in enumerate(in_turn(plans), start=1):
-            name = f"{plan.agent}: {plan.rows[0]}"
+        for number, each in enumerate(in_turn(work), start=1):
+            name = each.plan.key(each.plan.rows[0])
             steps = compute(
-                plan,
-                clips[id(plan)],
+                each.plan,
+                each.motions,
                 args.seed,
                 args.threads,
                 mapper,
@@ -255,39 +259,43 @@ def _compute(
                 rate = (time.monotonic() - began) / done
                 display.show("compare", min(done / whole, 1.0), name, rate * max(whole - done, 0))
             minutes = rate * max(whole - done, 0) / 60
-            display.say(f"{number}/{len(plans)} {name}; about {minutes:.0f} min left")
+            display.say(f"{number}/{len(work)} {name}; about {minutes:.0f} min left")
 
 
-def in_turn(plans: Sequence[Plan]) -> list[Plan]:
+def in_turn(work: Sequence[Work]) -> list[Work]:
     """The order of computation: exact signals and plain streams first; physics after estimates."""
-
-    def place(plan: Plan) -> tuple[int, bool, int, int]:
-        base = base_of(plan.agent) or plan.agent
-        alike = [
-            other
-            for other in plans
-            if (base_of(other.agent) or other.agent) == base
-            and (other.scenario, other.noise) == (plan.scenario, plan.noise)
-        ]
+    first: dict[tuple[str, Scenario, Noise | None], int] = {}
+    keys = []
+    for number, (plan, _) in enumerate(work):
+        estimates = plan.system or plan.name, plan.scenario, plan.noise
+        alike = first.setdefault(estimates, number)
         noise = 0 if plan.noise is None else 1 + NOISES.index(plan.noise)
-        return noise, not plan.scenario.plain, plans.index(alike[0]), plans.index(plan)
+        keys.append((noise, not plan.scenario.plain, alike, number))
+    return [work[key[-1]] for key in sorted(keys)]
 
-    return sorted(plans, key=place)
+
+@dataclass(frozen=True)
+class Planned:
+    """An agent of the comparison and the scenarios in which it is run."""
+
+    agent: Resolved
+    scenarios: Sequence[Scenario]
 
 
-def plan(agents: Sequence[str], sensors: str | None) -> dict[str, list[Scenario]]:
-    """Agents and the scenarios in which each is run.
+def plan(agents: Sequence[str], sensors: str | None) -> dict[str, Planned]:
+    """The agents by name, each with the scenarios in which it is run.
 
     Raises:
         InputError: an unknown agent or sensor set, or an agent that cannot use the sensors.
     """
     devices = devices_named(sensors)
-    planned = {agent: suiting(agent, devices) for agent in agents or shipped_agents()}
+    found = [resolve(name) for name in agents or shipped_agents()]
+    planned = {agent.name: Planned(agent, suiting(agent, devices)) for agent in found}
     if agents:
-        for agent, scenarios in planned.items():
-            if not scenarios:
-                raise InputError(f"{agent} does not support {sensors}", "--sensors", "leave it out")
-    planned = {agent: scenarios for agent, scenarios in planned.items() if scenarios}
+        for name, each in planned.items():
+            if not each.scenarios:
+                raise InputError(f"{name} does not support {sensors}", "--sensors", "leave it out")
+    planned = {name: each for name, each in planned.items() if each.scenarios}
     if not planned:
         raise InputError(f"no agent supports {sensors} alone", "--sensors", "leave it out")
     return planned
@@ -310,13 +318,10 @@ def shipped_agents() -> list[str]:
     return [*systems, *with_physics(systems), *apart]
 
 
-def representative(agents: Iterable[str]) -> list[str]:
+def representative(planned: Mapping[str, Planned]) -> list[str]:
     """The agents that fit into a picture: the systems, one with physics, one policy."""
-    return [
-        agent
-        for agent in agents
-        if agent in (DEFAULT_SYSTEM + PHYSICS, DEFAULT_POLICY) or resolve(agent).kind == "system"
-    ]
+    always = (DEFAULT_SYSTEM + PHYSICS, DEFAULT_POLICY)
+    return [n for n, each in planned.items() if n in always or not each.agent.simulated]
 
 
 def at_sensor_rate(motions: Sequence[Motion], count: int | None = None) -> list[Motion]:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from agents.comparison.report import RECORDING, Costs, Row, row_of
+from agents.comparison.report import Costs, Row, row_of
 from agents.comparison.run import Job, Plan, device_signals, loaded, scored
 from agents.comparison.scenarios import Scenario
 from agents.evaluation.follow import evaluation_sim
@@ -17,7 +17,7 @@ from agents.kinematic.interface import KinematicSystem, UserBody
 from agents.kinematic.physics_behind import TRACKER
 from agents.loading import load_agent
 from agents.policy.policy_agent import PolicyAgent
-from agents.resolve import base_of
+from agents.resolve import Resolved
 from questsim.joint_sensors import SENSOR_FPS, readings
 from questsim.motion.clip import FPS
 from questsim.motion.motion import Motion
@@ -89,9 +89,9 @@ def plan_costs(
         measured: times by what was measured, so that rows of one system share one measurement;
             None to measure none.
     """
-    base = base_of(plan.agent)
-    if plan.agent == RECORDING:
+    if plan.agent is None:
         return [Costs()]
+    agent, scenario = plan.agent, plan.scenario
 
     def ms(name: str, measure: Callable[[], float | None]) -> float | None:
         if measured is None:
@@ -100,12 +100,12 @@ def plan_costs(
             measured[name] = measure()
         return measured[name]
 
-    if plan.starts and base is None:
-        whole = Costs(_policy_size(plan.agent))
+    system = plan.system
+    if system is None:
+        whole = Costs(_policy_size(agent))
         if plan.noise is None:
-            whole = replace(whole, ms=ms(plan.agent, lambda: policy_ms(plan.agent, motions)))
+            whole = replace(whole, ms=ms(plan.name, lambda: policy_ms(agent, motions)))
         return [whole] * len(plan.rows)
-    system, scenario = base or plan.agent, plan.scenario
     alone = Costs(parameters(loaded(system, scenario.options)))
     if plan.noise is None:
         key = f"{system}: {scenario.name}"
@@ -121,7 +121,7 @@ def plan_costs(
     return [alone, *[whole] * len(plan.starts)]
 
 
-def policy_ms(agent: str, motions: Sequence[Motion]) -> float:
+def policy_ms(agent: str | Resolved, motions: Sequence[Motion]) -> float:
     """Milliseconds per 36 Hz frame of a policy and its physics: one avatar on one thread."""
     policy, clip = load_agent(agent), to_clip(max(motions, key=len))
     sim = evaluation_sim([clip], env_config(policy))
@@ -146,7 +146,7 @@ def retargeted_ms(motions: Sequence[Motion]) -> float:
     return 1000.0 * (time.perf_counter() - began) / len(clip)
 
 
-def _policy_size(agent: str) -> int:
+def _policy_size(agent: str | Resolved) -> int:
     loaded = load_agent(agent)
     if not isinstance(loaded, PolicyAgent):
         return 0

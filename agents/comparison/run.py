@@ -28,7 +28,7 @@ from agents.kinematic.physics_behind import avatar_samples, reference_of, rollou
 from agents.kinematic.recurrent.poser import RecurrentPoser
 from agents.kinematic.store import load_system
 from agents.loading import load_agent
-from agents.resolve import Resolved, base_of, resolve
+from agents.resolve import Resolved, resolve
 from agents.training.ray_session import ray_map
 from questsim.errors import InputError
 from questsim.extensions import load_extensions
@@ -117,7 +117,7 @@ def sets_of(agent: str | Resolved) -> list[str]:
 
 
 Job = tuple[str, Scenario, Motion, int, Noise | None]
-"""Agent, scenario, motion, seed and fault of the devices."""
+"""Name of the agent or of the system behind it, scenario, motion, seed and fault of the devices."""
 
 
 @dataclass(frozen=True)
@@ -125,17 +125,28 @@ class Plan:
     """Rows of one agent in one scenario, which are computed together.
 
     Attributes:
-        agent, scenario: of the rows.
+        agent: of the rows; None for the motions themselves.
+        scenario: of the rows.
         noise: fault of the devices.
         starts: of the avatar; empty for a kinematic system without physics.
         kept: whether a plan with physics needs the estimates after this one.
     """
 
-    agent: str
+    agent: Resolved | None
     scenario: Scenario
     noise: Noise | None = None
     starts: tuple[Start, ...] = ()
     kept: bool = False
+
+    @property
+    def name(self) -> str:
+        """Name of the agent in the table."""
+        return RECORDING if self.agent is None else self.agent.name
+
+    @property
+    def system(self) -> str | None:
+        """The kinematic system that is scored or followed; None for policies and the motions."""
+        return self.agent.base if self.agent is not None and not self.agent.torques else None
 
     @property
     def plain(self) -> bool:
@@ -149,17 +160,17 @@ class Plan:
         if not self.starts:
             return [row_name(name, self.noise)]
         found = [row_name(name, self.noise, start) for start in self.starts]
-        if base_of(self.agent) is not None:
+        if self.system is not None:
             found.insert(0, row_name(name, self.noise) + ", no physics")
         return found
 
     def job(self, motion: Motion, seed: int) -> Job:
         """The work on one motion."""
-        return self.agent, self.scenario, motion, seed, self.noise
+        return self.system or self.name, self.scenario, motion, seed, self.noise
 
     def key(self, row: str) -> str:
         """Name of a row in the record."""
-        return f"{self.agent}: {row}"
+        return f"{self.name}: {row}"
 
 
 class Estimates:
@@ -171,7 +182,7 @@ class Estimates:
 
     def of(self, plan: Plan) -> dict[str, Poses]:
         """The poses kept so far by the name of their motion; those of another plan are dropped."""
-        what = (base_of(plan.agent) or plan.agent, plan.scenario, plan.noise)
+        what = (plan.system or plan.name, plan.scenario, plan.noise)
         if self._of != what:
             self._of, self._poses = what, {}
         return self._poses
@@ -234,7 +245,7 @@ def simulated(
         threads, mapper: see ``workers``.
         kept: known estimates by the name of their motion; gets the others.
     """
-    if base_of(plan.agent) is None:
+    if plan.system is None:
         return _policy(plan, jobs, threads, mapper)
     return _behind(plan, jobs, threads, mapper, _all_poses(jobs, mapper, kept))
 
@@ -256,8 +267,7 @@ def _parts(jobs: Sequence[Job]) -> Iterator[list[Job]]:
 
 def _all_poses(jobs: Sequence[Job], mapper: Mapper, kept: dict[str, Poses]) -> list[Poses]:
     """The estimates of all jobs: those that are kept already, and the others."""
-    based = [(base_of(job[0]) or job[0], *job[1:]) for job in jobs if job[2].name not in kept]
-    parts = list(_parts(based))
+    parts = list(_parts([job for job in jobs if job[2].name not in kept]))
     for part, found in zip(parts, mapper(reconstructed_all, parts), strict=True):
         kept.update({job[2].name: poses for job, poses in zip(part, found, strict=True)})
     return [kept[job[2].name] for job in jobs]
@@ -376,6 +386,7 @@ def reference(job: Job) -> Clip:
 
 def _policy(plan: Plan, jobs: Sequence[Job], threads: int, mapper: Mapper) -> Scored:
     """A torque policy on the same motions, with the devices it was trained with."""
+    assert plan.agent is not None
     policy, clips = load_agent(plan.agent), list(mapper(to_clip, [job[2] for job in jobs]))
     for row, start in zip(plan.rows, plan.starts, strict=True):
         config = with_noise(env_config(policy), plan.noise)
