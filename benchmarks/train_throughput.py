@@ -8,6 +8,8 @@ is the preset `cpu`: actor and critic in parallel, and bfloat16 products.
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from stable_baselines3 import PPO
 from torch import nn
@@ -35,29 +37,10 @@ def main() -> None:
         "seed": 0,
     }
     subproc = forked(motions, args.envs)
-    reference = PPO(
-        "MlpPolicy",
-        subproc,
-        device="cpu",
-        policy_kwargs={
-            "net_arch": {"pi": list(HIDDEN), "vf": list(HIDDEN)},
-            "activation_fn": nn.ELU,
-        },
-        **options,
-    )
+    networks = {"net_arch": {"pi": list(HIDDEN), "vf": list(HIDDEN)}, "activation_fn": nn.ELU}
+    reference = PPO("MlpPolicy", subproc, device="cpu", policy_kwargs=networks, **options)
     env = QuestVecEnv(motions, EnvConfig(), num_envs=args.envs, num_threads=args.threads)
-    ours = AdaptivePPO(
-        TorquePolicy,
-        env,
-        bfloat16=True,
-        threads=args.threads,
-        policy_kwargs={
-            "spec": PolicySpec(hidden=HIDDEN, activation="elu"),
-            "layout": Layout.of(env.layout),
-            "gains": initial_gains(env.torque_limits, env.damping),
-        },
-        **options,
-    )
+    ours = _ours(env, args.threads, options)
     rollout = args.envs * args.steps
 
     def our_rollout_and_update() -> None:
@@ -84,6 +67,21 @@ def main() -> None:
             "ratio_to_sb3_subproc": rates["ours"] / rates["sb3_subproc"],
         },
         args.json,
+    )
+
+
+def _ours(env: QuestVecEnv, threads: int, options: dict[str, Any]) -> AdaptivePPO:
+    return AdaptivePPO(
+        TorquePolicy,
+        env,
+        bfloat16=True,
+        threads=threads,
+        policy_kwargs={
+            "spec": PolicySpec(hidden=HIDDEN, activation="elu"),
+            "layout": Layout.of(env.layout),
+            "gains": initial_gains(env.torque_limits, env.damping),
+        },
+        **options,
     )
 
 

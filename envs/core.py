@@ -16,12 +16,11 @@ from envs.avatar import avatar_of
 from envs.bodies import Bodies, models_of, on_their_bodies
 from envs.config import EnvConfig, check_count
 from envs.episode_random import Seeds, Streams
-from envs.footed_clip import footed_clip, joined
 from envs.initial_states import InitialStates, estimates_of
-from envs.kernel_arguments import Episodes, State
+from envs.kernel_arguments import Episodes
 from envs.kernel_runner import KernelRunner
-from envs.moment import moment_of
-from envs.physics import Physics
+from envs.moment import finite_extra_terms, moment_of
+from envs.physics import POSITION, Physics
 from envs.reference import Reference, check_are_clips, check_shown
 from envs.sampler import Sampler
 from envs.surroundings import Surroundings
@@ -29,9 +28,7 @@ from questsim import rotations as rot
 from questsim.bodies import clip_for
 from questsim.errors import InputError
 from questsim.motion.clip import FPS, Clip
-from questsim.reward import COMPILED, Moment, extra_terms
-
-_CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL.value)
+from questsim.reward import COMPILED, Moment
 
 # State of a running episode, besides the physics.
 _EPISODE = ("clip", "frame", "_first", "_end", "contact_force", "_previous_force")
@@ -80,11 +77,7 @@ class BatchSim:
     ) -> None:
         self.config = config or EnvConfig()
         self.num_envs = n = len(clips) if num_envs is None else num_envs
-        if clips:  # without any, `Reference.of` says so
-            check_count("num_envs", n)
-        check_count("num_threads", num_threads)
-        if self.config.fixed_start and n > len(clips):
-            raise InputError(f"num_envs is {n}, more than the {len(clips)} clips", "fixed_start")
+        _check_counts(self.config, n, num_threads, len(clips))
         clips = on_their_bodies(clips, self.config, n, seed)
         self.reference = seen = Reference.of(clips, self.config, seed)
         if shown is not None:
@@ -93,9 +86,6 @@ class BatchSim:
             check_shown(clips, shown)
             seen = Reference.of(shown, self.config, seed)
         self.avatar = avatar_of(self.config.body)
-        dofs, links = len(self.avatar.dofs), len(self.avatar.links)
-        self._positions, self._velocities = 7 + dofs, 6 + dofs
-        self._links = slice(1, 1 + links)
         self.bodies = Bodies(clips, self.config, n, self.reference.heights, seed)
         self.heights, self.user_heights = self.bodies.heights, self.bodies.user_heights
         ratio = self.user_heights / self.avatar.base_m
@@ -118,10 +108,15 @@ class BatchSim:
         self._begin_episodes(ratio)
         references = (self.reference,) if shown is None else (self.reference, seen)
         self._runner = KernelRunner(
-            self.config, self._state, self._episodes, self._around, references,
+            self.config, self._physics.state, self._episodes, self._around, references,
             self._previous_force, num_threads,
         )  # fmt: skip
-        self.layout, scores = self._runner.layout, self._runner.scores
+        self._make_outputs()
+
+    def _make_outputs(self) -> None:
+        """The arrays that interfaces read after each step."""
+        n, scores = self.num_envs, self._runner.scores
+        self.layout = self._runner.layout
         self.true_observation = self._runner.views[0].observation
         self.observation = self._runner.views[-1].observation
         self.reward, self.error, self.reward_terms = scores.reward, scores.error, scores.terms
@@ -133,30 +128,26 @@ class BatchSim:
         self.unstable_count = 0
 
     def _begin_episodes(self, ratio: np.ndarray) -> None:
-        """Arrays that every kernel reads: the episodes and the physics state."""
+        """Arrays of the episodes, which every kernel reads."""
         n = self.num_envs
         self.clip, self.frame = np.zeros(n, np.int64), np.zeros(n, np.int64)
         self._end, self._first = np.zeros(n, np.int64), np.zeros(n, np.int64)
         self._begin = np.zeros(n, np.int64)
-        self.contact_force = np.zeros((n, 2, 3))
         self._previous_force = np.zeros((n, 2))
         place, scale = self.placement.place, self.bodies.scale(self.config)
         self._episodes = Episodes(self.frame, self._begin, self._end, place, ratio, scale)
-        self._state = State(
-            self.qpos, self.qvel, self._xpos, self._xquat, self._cvel, self._com, self.contact_force
-        )
 
     def _build_batch(self, num_threads: int, seed: int) -> None:
         self.body, models = models_of(self.bodies, self.config, self.avatar, seed)
         self.substeps = self.body.substeps
-        self._physics = Physics(models, num_threads)
-        self.batch = self._physics.batch
-        self.torque_limits = np.stack([m.actuator_ctrlrange[:, 1] for m in models])
+        self._physics = physics = Physics(models, num_threads)
+        self.batch, self.torque_limits = physics.batch, physics.torque_limits
+        self.qpos, self.qvel, self.ctrl = physics.qpos, physics.qvel, physics.ctrl
+        self.contact_force = physics.state.foot_force
+        dofs, links = len(self.avatar.dofs), len(self.avatar.links)
+        self._positions, self._velocities = 7 + dofs, 6 + dofs
+        self._links = slice(1, 1 + links)
         self.masses = np.array([m.body_mass[self._links].sum() for m in models])
-        bind = self.batch.bind
-        self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
-        self._xpos, self._xquat, self._cvel = bind("xpos"), bind("xquat"), bind("cvel")
-        self._com, self._sensors = bind("subtree_com"), bind("sensordata")
         self.renew_forces: Callable[[], None] | None = None
 
     # -- read by evaluation and rendering --------------------------------------------------
@@ -164,12 +155,12 @@ class BatchSim:
     @property
     def link_positions(self) -> np.ndarray:
         """``(n, 16, 3)`` world positions of the links in metres."""
-        return self._xpos[:, self._links]
+        return self._physics.state.xpos[:, self._links]
 
     @property
     def link_quats(self) -> np.ndarray:
         """``(n, 16, 4)`` world orientations of the links, wxyz."""
-        return self._xquat[:, self._links]
+        return self._physics.state.xquat[:, self._links]
 
     @property
     def joint_angles(self) -> np.ndarray:
@@ -191,19 +182,12 @@ class BatchSim:
         """
         from questsim.motion.reproportion import with_proportions  # late: for rendering and scores
 
-        own, place = self.config.body, self.placement
-        if own is None:
+        if self.config.body is not None:
+            scaled = clip_for(self.config.body, clip)
+        else:
             scaled = clip.scaled(float(self.user_heights[i]))
             scaled = with_proportions(scaled, self.bodies.proportions[i])
-        else:
-            scaled = clip_for(own, clip)
-        placed = footed_clip(scaled, place.place[i], place.field)
-        faults = self._around.faults
-        if not faults.jumped[i]:
-            return placed
-        # The frame of the jump still belongs to the old place.
-        first = int(self._first[i] + faults.jump[i]) + 1
-        return joined(footed_clip(scaled, faults.before[i], place.field), placed, first)
+        return self._around.placed_clip(i, scaled, int(self._first[i]))
 
     @property
     def foot_clearance(self) -> np.ndarray:
@@ -245,8 +229,7 @@ class BatchSim:
         qpos, qvel = self._initial.draw(ids, rows, clips, self._runner.target)
         self.qpos[ids, : self._positions], self.qvel[ids, : self._velocities] = qpos, qvel
         self._around.begin(ids, rows, clips)
-        with self._physics.surviving():
-            self.batch.forward(ids, stage=_CURRENT)
+        self._physics.forward(ids)
         self.contact_force[ids] = 0.0
         self._previous_force[ids] = 0.0
         self._runner.observe(ids)
@@ -254,8 +237,7 @@ class BatchSim:
     def _clearance_in(self, ids: np.ndarray, qpos: np.ndarray) -> np.ndarray:
         """Height ``(m,)`` above the ground of the lowest sole point in poses ``(m, 40)``."""
         self.qpos[ids, : self._positions] = qpos
-        with self._physics.surviving():
-            self.batch.forward(ids, stage=int(mujoco.mjtStage.mjSTAGE_POS.value))
+        self._physics.forward(ids, POSITION)
         return self._clearance(ids).min(axis=-1)
 
     def step(self, action: np.ndarray) -> None:
@@ -272,14 +254,7 @@ class BatchSim:
         np.clip(checked_actions(action, self.ctrl.shape), -1.0, 1.0, out=self.ctrl)
         self.ctrl *= self.torque_limits
         self.pusher.apply()
-        if self.renew_forces is None:
-            with self._physics.surviving():
-                self.batch.step(nstep=self.substeps, stage=_CURRENT)
-        else:
-            for _ in range(self.substeps):
-                self.renew_forces()
-                with self._physics.surviving():
-                    self.batch.step(nstep=1, stage=_CURRENT)
+        self._physics.step(self.substeps, self.renew_forces)
         self._after_step()
 
     def show(self, pose: np.ndarray) -> None:
@@ -293,16 +268,14 @@ class BatchSim:
         self.qvel[:, 3:6] = FPS * rot.as_rotation(turn).as_rotvec()
         self.qvel[:, 6 : self._velocities] = FPS * (after[:, 7:] - before[:, 7:])
         self.qpos[:, : self._positions] = after
-        with self._physics.surviving():
-            self.batch.forward(stage=_CURRENT)
+        self._physics.forward()
         self._after_step(physics=False)
 
     def _after_step(self, physics: bool = True) -> None:
         self._previous_force[:] = self.contact_force[..., 2]
         if physics:
             # The sensor reports the force of each foot on the floor.
-            feet = self._sensors[:, :6].reshape(-1, 2, 3)
-            np.negative(feet, out=self.contact_force)
+            np.negative(self._physics.sensors[:, :6].reshape(-1, 2, 3), out=self.contact_force)
         self.frame += 1
         np.minimum(self.frame, self._end - 1, out=self.frame)
         self._runner.score()
@@ -344,28 +317,20 @@ class BatchSim:
 
     def _add_extra_terms(self) -> None:
         """Reward terms that are not compiled, for the whole batch in one thread."""
-        first = len(COMPILED)
-        extra = extra_terms(self.config.reward, self.moment())
-        # Where the physics failed, every term is zero; elsewhere a term must be finite.
-        wrong = ~np.isfinite(extra) & np.isfinite(self.reward + self.error)[:, None]
-        if wrong.any():
-            name = self.reward_names[first + int(np.flatnonzero(wrong.any(axis=0))[0])]
-            raise ValueError(f"reward term {name!r} is not finite")
+        reward, first = self.config.reward, len(COMPILED)
+        extra = finite_extra_terms(reward, self.moment(), np.isfinite(self.reward + self.error))
         self.reward_terms[:, :first] = self._runner.scores.terms
         self.reward_terms[:, first:] = extra
-        self.reward += extra @ self.config.reward.weights[first:]
+        self.reward += extra @ reward.weights[first:]
 
     def moment(self) -> Moment:
         """Data of the last step that reward terms read."""
+        runner = self._runner
         return moment_of(
-            self._state,
-            self._episodes,
-            self._runner.views[0].rows,
-            self._runner.target,
-            torque=self.ctrl,
-            torque_limits=self.torque_limits,
+            self._physics.state, self._episodes, runner.views[0].rows, runner.target,
+            torque=self.ctrl, torque_limits=self.torque_limits,
             previous_force=self._previous_force,
-        )
+        )  # fmt: skip
 
     def seed(self, seeds: Seeds) -> None:
         """Seed the random streams of episodes: clips, frames and everything else drawn per episode.
@@ -404,13 +369,13 @@ class BatchSim:
         """
         if state["physics"].shape != self.batch.state.shape:
             count = len(state["physics"])
-            what = f"the saved state is of {count} simulations, this batch has {self.num_envs}"
+            what = f"the state is of {count} simulations, this batch has {self.num_envs}"
             raise InputError(what, "resume", f"use {count}")
         self._streams.set_state(state["rng"])
         self._sampler.set_state(state["sampler"])
         self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE.value))
         self.batch.state[:] = state["physics"]
-        self.batch.forward(stage=_CURRENT)
+        self._physics.forward()
         for name in _EPISODE:
             getattr(self, name)[:] = state["episodes"][name]
         self._begin[:] = self.reference.start[self.clip]
@@ -422,3 +387,11 @@ class BatchSim:
     def close(self) -> None:
         """Stop the threads."""
         self._runner.close()
+
+
+def _check_counts(config: EnvConfig, num_envs: int, num_threads: int, clips: int) -> None:
+    if clips:  # without any, `Reference.of` says so
+        check_count("num_envs", num_envs)
+    check_count("num_threads", num_threads)
+    if config.fixed_start and num_envs > clips:
+        raise InputError(f"num_envs is {num_envs}, more than the {clips} clips", "fixed_start")

@@ -139,6 +139,33 @@ def _obstacle(foot, first, last, from_m, to_m, place, surface, grid, soles, scal
 
 
 @jit
+def _swing(leg, row, place, surface, grid, soles, scale, steps, ref, from_m, to_m):
+    """A foot between two stances.
+
+    Args:
+        leg, row, place, surface, grid, soles, scale, steps, ref: as of ``_bearing``.
+        from_m, to_m: height of the ground at the stances before and after.
+
+    Returns:
+        Share of stance, 0 to 1; the vertical velocity in m/s; the share of the way to the next
+        stance; the height in metres by which obstacles raise the foot.
+    """
+    first, last = steps.first[row, leg], steps.last[row, leg]
+    phase = (row - first) / (last - first)
+    gone, faster = _smooth(phase)
+    share, raised, more = 1.0, 0.0, 0.0
+    if steps.swings[row, leg]:
+        foot = 3 + 3 * leg
+        top = _obstacle(foot, first, last, from_m, to_m, place, surface, grid, soles, scale, ref)
+        # Rise early and sink late: an obstacle may be at either end of the swing.
+        aside = 2.0 * phase - 1.0
+        raised = top * (1.0 - aside**4)
+        more = -8.0 * top * aside**3
+        share = aside**4
+    return share, FPS * (faster * (to_m - from_m) + more) / (last - first), gone, raised
+
+
+@jit
 def _bearing(
     leg, row, place, surface, grid, soles, scale, steps, ref, lift, pelvis_rise, walking
 ):  # fmt: skip
@@ -169,24 +196,13 @@ def _bearing(
     )
     share, rise, firm = 1.0, 0.0, max(walking, steps.stays[before, leg])
     if before != after:
-        first, last = steps.first[row, leg], steps.last[row, leg]
-        phase = (row - first) / (last - first)
-        gone, faster = _smooth(phase)
-        to, to_x, to_y = _stance(
-            place, surface, grid, position[after, foot], quat[after, foot], soles, scale
+        to = _stance(place, surface, grid, position[after, foot], quat[after, foot], soles, scale)
+        share, rise, gone, raised = _swing(
+            leg, row, place, surface, grid, soles, scale, steps, ref, height, to[0]
         )
-        raised, more = 0.0, 0.0
-        if steps.swings[row, leg]:
-            top = _obstacle(foot, first, last, height, to, place, surface, grid, soles, scale, ref)
-            # Rise early and sink late: an obstacle may be at either end of the swing.
-            aside = 2.0 * phase - 1.0
-            raised = top * (1.0 - aside**4)
-            more = -8.0 * top * aside**3
-            share = aside**4
-        rise = FPS * (faster * (to - height) + more) / (last - first)
-        height += gone * (to - height) + raised
-        lean_x += gone * (to_x - lean_x)
-        lean_y += gone * (to_y - lean_y)
+        height += gone * (to[0] - height) + raised
+        lean_x += gone * (to[1] - lean_x)
+        lean_y += gone * (to[2] - lean_y)
         firm += gone * (max(walking, steps.stays[after, leg]) - firm)
     share *= firm
     height = lift + firm * (height - lift)
@@ -246,6 +262,18 @@ def _on_feet(
 
 
 @jit
+def _copy(reference, row, scale, angles, position, quat):
+    """Copy a row of the reference, scaled, to a pose."""
+    for j in range(angles.shape[0]):
+        angles[j] = reference.qpos[row, 7 + j]
+    for b in range(position.shape[0]):
+        for axis in range(3):
+            position[b, axis] = reference.position[row, b, axis] * scale
+        for axis in range(4):
+            quat[b, axis] = reference.quat[row, b, axis]
+
+
+@jit
 def fill(
     first: int,
     last: int,
@@ -261,7 +289,7 @@ def fill(
     """Fill a ``Target`` of ``ids[first:last]``.
 
     Args:
-        first, last, ids, episodes, ground: as of ``kernels.observe``.
+        first, last, ids, episodes, ground: as of ``observation_kernel.observe``.
         offsets: ``(k,)`` frames ahead.
         reference: poses of all rows.
         legs: of the 1.75 m body.
@@ -278,14 +306,8 @@ def fill(
         for k in range(offsets.shape[0]):
             row = min(frame[i] + offsets[k], end[i] - 1)
             before = max(row - 1, begin[i])
-            for j in range(angles.shape[2]):
-                angles[i, k, j] = qpos[row, 7 + j]
-            for b in range(position.shape[2]):
-                rises[i, k, b] = 0.0
-                for axis in range(3):
-                    position[i, k, b, axis] = reference.position[row, b, axis] * scale
-                for axis in range(4):
-                    quat[i, k, b, axis] = reference.quat[row, b, axis]
+            _copy(reference, row, scale, angles[i, k], position[i, k], quat[i, k])
+            rises[i, k] = 0.0
             lift, rise = 0.0, 0.0
             if not level:
                 x, y = placed(place[i], qpos[row, 0] * scale, qpos[row, 1] * scale)

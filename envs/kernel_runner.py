@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from envs import footing, kernels
+from envs import footing, observation_kernel, score_kernel
 from envs.config import EnvConfig, offsets_of
 from envs.kernel_arguments import (
     Devices,
@@ -80,7 +81,7 @@ class KernelRunner:
         self._ground = ground_of(around.placement.field)
         self.layout = observation_layout(config)
         self._all, self.floor = np.arange(n), np.zeros(n)
-        self._chunks = kernels.chunks(n, num_threads)
+        self._chunks = chunks(n, num_threads)
         self._pool = ThreadPoolExecutor(num_threads) if len(self._chunks) > 1 else None
         reward, compiled = config.reward, slice(0, len(COMPILED))
         self._weights, self._kernels = reward.weights[compiled], reward.kernels[compiled]
@@ -161,24 +162,24 @@ class KernelRunner:
 
     def _score_chunk(self, first: int, last: int, ids: np.ndarray) -> None:
         self._fill_chunk(first, last, ids)
-        kernels.score(
+        score_kernel.score(
             first, last, self._state, self._previous_force, self._episodes, self.views[0].rows,
             self.target, self._kernels, self._weights, self.scores,
         )  # fmt: skip
 
     def _observe_chunk(self, first: int, last: int, ids: np.ndarray) -> None:
         for view in self.views:
-            kernels.observe(
+            observation_kernel.observe(
                 first, last, ids, self._state, self._episodes, view.rows, view.target,
                 view.devices, self._privileged, self._ground, self.floor, view.observation,
             )  # fmt: skip
             if "height_scan" in self.layout:
-                kernels.scan(
+                observation_kernel.scan(
                     first, last, ids, self._state, SCAN_POINTS, self._ground, self.floor,
                     self.layout["height_scan"].start, view.observation,
                 )  # fmt: skip
             if "o_teacher" in self.layout:
-                kernels.observe_exactly(
+                observation_kernel.observe_exactly(
                     first, last, ids, self._state, self._episodes, *view.teacher,
                     self._teacher_offsets, self.layout["o_teacher"].start, view.observation,
                 )  # fmt: skip
@@ -187,3 +188,9 @@ class KernelRunner:
         """Stop the threads."""
         if self._pool is not None:
             self._pool.shutdown()
+
+
+def chunks(count: int, parts: int) -> list[tuple[int, int]]:
+    """``parts`` near-equal ranges that cover ``range(count)``, without empty ones."""
+    edges = np.linspace(0, count, min(parts, count) + 1).astype(int)
+    return [(int(a), int(b)) for a, b in pairwise(edges) if b > a]

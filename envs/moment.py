@@ -1,4 +1,4 @@
-"""The ``Moment`` of a batch: data of its last step that reward terms read."""
+"""The ``Moment`` of a batch: data of its last step that reward terms read, and the terms of it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from envs.kernel_arguments import Episodes, ReferenceRows, State, Target
 from envs.placement import turn_quat, turned
 from questsim import rotations as rot
-from questsim.reward import Moment, Reference
+from questsim.reward import COMPILED, Moment, Reference, RewardConfig, extra_terms
 
 
 def moment_of(
@@ -23,7 +23,7 @@ def moment_of(
     """Collect the data of the last step of ``n`` simulations, in the world.
 
     Args:
-        state, episodes, rows, target: as of ``kernels.score``.
+        state, episodes, rows, target: as of ``score_kernel.score``.
         torque, torque_limits: ``(n, 33)`` N m.
         previous_force: ``(n, 2)`` vertical force on the feet one step earlier, N.
     """
@@ -51,3 +51,22 @@ def moment_of(
             link_quats=rot.quat_multiply(turn_quat(place)[:, None], target.quat[:, 0]),
         ),
     )
+
+
+def finite_extra_terms(reward: RewardConfig, moment: Moment, there: np.ndarray) -> np.ndarray:
+    """Values ``(n, k)`` of the reward terms that are not compiled.
+
+    Args:
+        reward: names and weights.
+        moment: of the last step.
+        there: ``(n,)`` bool: the physics did not fail. Elsewhere a term may have any value.
+
+    Raises:
+        ValueError: a term is not finite.
+    """
+    extra = extra_terms(reward, moment)
+    wrong = ~np.isfinite(extra) & there[:, None]
+    if wrong.any():
+        name = reward.terms[len(COMPILED) + int(np.flatnonzero(wrong.any(axis=0))[0])]
+        raise ValueError(f"reward term {name!r} is not finite")
+    return extra

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import mujoco
 import numpy as np
 from mujoco import batch as mujoco_batch
+
+from envs.kernel_arguments import State
+
+POSITION = int(mujoco.mjtStage.mjSTAGE_POS.value)
+VELOCITY = int(mujoco.mjtStage.mjSTAGE_VEL.value)
+"""MuJoCo's stages up to which a state is computed: positions alone, or velocities too."""
 
 # Warning counters of states that are not finite or too large; MuJoCo then resets the simulation.
 _UNSTABLE = [
@@ -40,6 +46,9 @@ class Physics:
     Attributes:
         batch: MuJoCo's batch.
         stopped: ``(n,)`` bool, simulations with an error of MuJoCo since their last reset.
+        qpos, qvel, ctrl, sensors: ``(n, ...)`` views of the batch.
+        state: views that the kernels read; its ``foot_force`` is the last step's.
+        torque_limits: ``(n, D)`` N m.
     """
 
     def __init__(self, models: Sequence[mujoco.MjModel], num_threads: int) -> None:
@@ -48,10 +57,37 @@ class Physics:
         )
         self.batch.set_models(models)
         self.stopped = np.zeros(len(models), bool)
+        bind = self.batch.bind
+        self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
+        self.sensors, links = bind("sensordata"), (bind("xpos"), bind("xquat"), bind("cvel"))
+        feet = np.zeros((len(models), 2, 3))
+        self.state = State(self.qpos, self.qvel, *links, bind("subtree_com"), feet)
+        self.torque_limits = np.stack([m.actuator_ctrlrange[:, 1] for m in models])
+
+    def forward(self, ids: np.ndarray | None = None, stage: int = VELOCITY) -> None:
+        """Compute what follows from the state of simulations ``ids`` (all, if None)."""
+        with self._surviving():
+            self.batch.forward(ids, stage=stage)
+
+    def step(self, substeps: int, before_each: Callable[[], None] | None = None) -> None:
+        """Advance all simulations.
+
+        Args:
+            substeps: number of steps of the physics.
+            before_each: called before each of them.
+        """
+        if before_each is None:
+            with self._surviving():
+                self.batch.step(nstep=substeps, stage=VELOCITY)
+            return
+        for _ in range(substeps):
+            before_each()
+            with self._surviving():
+                self.batch.step(nstep=1, stage=VELOCITY)
 
     @contextmanager
-    def surviving(self) -> Iterator[None]:
-        """Step the physics. A MuJoCo error in one simulation ends the episode of that one only."""
+    def _surviving(self) -> Iterator[None]:
+        """A MuJoCo error in one simulation ends the episode of that one only."""
         try:
             yield
         except mujoco_batch.SimulationError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -154,40 +153,13 @@ def _torques(avatar: Avatar, clips: Sequence[Clip], config: EnvConfig) -> np.nda
     if not config.privileged:
         return np.zeros((0, len(avatar.dofs)), np.float32)
     # Imported late: only teachers need them, and they import an optimiser.
-    if avatar.own is not None:
+    if config.body is not None:
         from questsim.bodies.torques import own_torques
 
-        return own_torques(avatar.own, clips)
-    return _kept_torques(clips, config.body_preset)
+        return own_torques(config.body, clips)
+    from questsim.motion.inverse_dynamics import reference_torques
 
-
-_KEPT: dict[bytes, np.ndarray] = {}
-"""Torques of single clips, so that a batch with some clips of an earlier one is quick to build."""
-_MOST_FRAMES = 2_000_000
-"""Frames in ``_KEPT``: 264 MB."""
-
-
-def _kept_torques(clips: Sequence[Clip], preset: str) -> np.ndarray:
-    keys = [_key(clip, preset) for clip in clips]
-    missing = {key: clip for key, clip in zip(keys, clips, strict=True) if key not in _KEPT}
-    if missing:
-        if sum(map(len, _KEPT.values())) > _MOST_FRAMES:
-            _KEPT.clear()
-            missing = dict(zip(keys, clips, strict=True))
-        # Imported late: only teachers need it, and it imports an optimiser.
-        from questsim.motion.inverse_dynamics import reference_torques
-
-        rows = reference_torques(list(missing.values()), preset)
-        ends = np.cumsum([len(clip) for clip in missing.values()])
-        _KEPT.update(zip(missing, np.split(rows, ends[:-1]), strict=True))
-    return np.concatenate([_KEPT[key] for key in keys])
-
-
-def _key(clip: Clip, preset: str) -> bytes:
-    digest = hashlib.blake2b(preset.encode(), digest_size=16)
-    digest.update(np.asarray(clip.qpos, "<f8").tobytes())
-    digest.update(repr(clip.proportions and clip.proportions.places).encode())
-    return digest.digest()
+    return reference_torques(clips, config.body_preset)
 
 
 def _devices(clip: Clip, config: EnvConfig, seed: int, index: int) -> tuple[np.ndarray, np.ndarray]:

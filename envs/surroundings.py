@@ -11,11 +11,13 @@ from envs.avatar import avatar_of
 from envs.config import EnvConfig
 from envs.device_faults import DeviceFaults, SignalFaults
 from envs.episode_random import EpisodeRandom, Seeds
+from envs.footed_clip import footed_clip, joined
 from envs.object_places import Objects
 from envs.placement import Placement
 from envs.pushes import Pusher
 from envs.reference import Reference
 from envs.starts import Beginnings
+from questsim.motion.clip import Clip
 
 
 class Surroundings:
@@ -85,6 +87,22 @@ class Surroundings:
         self.objects.place(ids, rows, clips, self._reference, self.placement, self._ratio)
         self.signals.begin(ids, rows + self._offset - self.signals.late[ids])
         self.faults.begin(ids, clips)
+
+    def placed_clip(self, i: int, clip: Clip, first: int) -> Clip:
+        """The clip that simulation ``i`` plays, at its place, feet adapted to the ground there.
+
+        Args:
+            i: the simulation.
+            clip: on the body of its user.
+            first: frame of the clip in which the episode began.
+        """
+        field, faults = self.placement.field, self.faults
+        placed = footed_clip(clip, self.placement.place[i], field)
+        if not faults.jumped[i]:
+            return placed
+        # The frame of the jump still belongs to the old place.
+        after = int(first + faults.jump[i]) + 1
+        return joined(footed_clip(clip, faults.before[i], field), placed, after)
 
     def _parts(self) -> dict[str, Any]:
         return {

@@ -140,7 +140,7 @@ the position errors become large.
 """
 
 COMPILED: tuple[str, ...] = tuple(TERMS)
-"""Terms that ``envs.kernels.score`` computes as well, much faster; tests compare the two."""
+"""Terms that ``envs.score_kernel.score`` computes as well, much faster; tests compare the two."""
 
 
 _KERNELS = frozenset(f"k_{name}" for name in COMPILED)

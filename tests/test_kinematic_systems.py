@@ -22,7 +22,8 @@ from agents.kinematic.recurrent.lstm import LstmBank
 from agents.kinematic.recurrent.poser import RecurrentModule, RecurrentPoser
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.skeletal import POOLINGS, SIZES, neighbour_mask
-from agents.kinematic.sparseposer.poser import SparsePoser, SparsePoserModule
+from agents.kinematic.sparseposer.networks import SparsePoserModule
+from agents.kinematic.sparseposer.poser import SparsePoser
 from agents.training.hold_out import without_styles
 from questsim import rotations as rot
 from questsim.errors import InputError

@@ -20,7 +20,7 @@ from agents.kinematic.learning import rate_at
 from agents.kinematic.options import TrainSystemArgs
 from agents.kinematic.recurrent.features import HEAD
 from agents.kinematic.registry import AGENTS
-from agents.kinematic.sparseposer.poser import SparsePoserModule
+from agents.kinematic.sparseposer.networks import SparsePoserModule
 from agents.kinematic.sparseposer.training import measure_normalisers
 from agents.kinematic.store import find_system, load_module, read_system_card, save_system
 from agents.kinematic.training import _budget, train_system
@@ -313,7 +313,7 @@ def test_normalised_dual_quaternions_have_mean_zero_and_deviation_one():
     assert isinstance(module, SparsePoserModule)
     windows = MotionBank([MOTION], 64).fixed(16)
     measure_normalisers(module, windows)
-    from agents.kinematic.sparseposer.poser import root_space
+    from agents.kinematic.sparseposer.networks import root_space
     from questsim import differentiable as diff
 
     dual = root_space(windows.position, diff.matrix_to_quat(windows.world))

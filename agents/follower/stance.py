@@ -58,16 +58,6 @@ def estimated_pose(
     qpos[:3] = spot + rot.quat_rotate(turn, qpos[:3])
     qpos[2] -= upright[0, 2] - min(position[headset, 2], upright[0, 2])
     qpos[3:7] = turn
-    start = qpos.copy()
-    for side in ("left", "right"):  # straight limbs are singular
-        for hinge, angle in {
-            "hip_y": -0.2,
-            "knee_y": 0.4,
-            "ankle_y": -0.2,
-            "elbow_y": -0.2,
-        }.items():
-            start[model.joint(f"{side}_{hinge}").qposadr[0]] = angle
-
     tasks = _device_tasks(names, position, quat, height_m)
     if not any(DEVICES[name].link in FEET for name in names):
         for foot in FEET:
@@ -76,7 +66,7 @@ def estimated_pose(
     posture = mink.PostureTask(model, cost=POSTURE_COST)
     posture.set_target(qpos)
     configuration = mink.Configuration(model)
-    configuration.update(start)
+    configuration.update(_bent(model, qpos))
     limits = [mink.ConfigurationLimit(model)]
     for _ in range(ITERATIONS):
         speed = mink.solve_ik(
@@ -84,6 +74,16 @@ def estimated_pose(
         )
         configuration.integrate_inplace(speed, STEP_S)
     return _on_the_floor(model, configuration.q.copy(), height_m)
+
+
+def _bent(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+    """The pose with bent knees and elbows: straight limbs are singular."""
+    start = qpos.copy()
+    bends = {"hip_y": -0.2, "knee_y": 0.4, "ankle_y": -0.2, "elbow_y": -0.2}
+    for side in ("left", "right"):
+        for hinge, angle in bends.items():
+            start[model.joint(f"{side}_{hinge}").qposadr[0]] = angle
+    return start
 
 
 def _device_tasks(

@@ -1,7 +1,7 @@
 """The sparse observation as a torch module: QuestSim's 475 numbers from a simulator's raw state.
 
-It computes the same as ``envs.kernels.observe``, which environments use, in operations that can be
-exported to other runtimes. The tests compare the two.
+It computes the same as ``envs.observation_kernel``, which environments use, in operations that can
+be exported to other runtimes. The tests compare the two.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -57,7 +57,7 @@ from envs.pushes import Pushes
 from envs.randomisation import Randomisation
 from envs.starts import Starts
 from envs.terrain import terrain_named
-from questsim.bodies import read_body
+from questsim.bodies import OwnBody, read_body
 from questsim.errors import INTERRUPTED, InputError, at_least
 from questsim.motion.clip import Clip
 
@@ -131,13 +131,14 @@ def train_here(args: TrainArgs) -> int:
 
     noted: list[bool] = []
 
+    training = _Training(args, preset, clips, shown, begin_at, data)
     torch.set_num_threads(1)  # the learners use their own workers; see workers.py
     stopper = Stopper()
     folder, cluster = only_training(args.out), _cluster(args)
     with folder, cluster, Display() as display, stopper.listening():
         display.say(f"preset {args.preset}: {preset.expect}")
         for name in names:
-            _run_stage(name, args, preset, clips, shown, begin_at, data, display, stopper, begin)
+            _run_stage(training, name, display, stopper, begin)
             if stopper.requested:
                 display.say(f"stopped; go on with --resume --out {args.out}")
                 return INTERRUPTED
@@ -209,70 +210,101 @@ def _stage_names(args: TrainArgs, preset: Preset) -> list[str]:
     return [args.stage]
 
 
+@dataclass(frozen=True)
+class _Training:
+    """What the stages of a training share.
+
+    Attributes:
+        args, preset: its options.
+        clips: the motions.
+        shown: pairs of a motion and its estimate by name, with ``--shown``.
+        begin_at: estimates of first states by name, see ``BatchSim``.
+        data: record of the motions.
+    """
+
+    args: TrainArgs
+    preset: Preset
+    clips: Sequence[Clip]
+    shown: Pairs | None
+    begin_at: dict[str, Clip] | None
+    data: dict[str, Any]
+
+    def config(self, name: str) -> StageConfig:
+        """A stage's configuration."""
+        config = self.preset.stages[name]
+        if self.shown is not None:
+            config = shown_estimates(name, config)
+        if self.args.body is not None:  # the balance term is of our own legs
+            config = replace(config, policy=replace(config.policy, balance="none"))
+        return config
+
+    def seed(self, name: str) -> int:
+        """Each stage has its own random stream, whether it runs alone or after another."""
+        return self.args.seed + 1000 * list(self.preset.stages).index(name)
+
+    def split(self) -> tuple[list[Clip], list[Clip]]:
+        """Clips to learn and clips for validation."""
+        args, count = self.args, self.preset.validation_clips
+        learnt, validation = split_validation(self.clips, args.hold_out, count)
+        if args.validation is not None:
+            validation = validation_clips(args, count)
+        return learnt, validation
+
+    def seen(self, part: Sequence[Clip]) -> list[Clip] | None:
+        """The estimates of some clips, if there are any."""
+        return None if self.shown is None else [self.shown[clip.name][1] for clip in part]
+
+    def needs(self, config: StageConfig, body: OwnBody | None) -> Needs:
+        """What a stage's policy observes."""
+        return Needs(
+            sensors=self.args.sensors,
+            future_frames=self.args.future_frames,
+            privileged="privileged" in config.policy.actor_blocks,
+            body_preset=self.preset.body_preset,
+            body=body,
+            observe_proportions=self.args.observe_proportions,
+        )
+
+
 def _run_stage(
+    training: _Training,
     name: str,
-    args: TrainArgs,
-    preset: Preset,
-    clips: Sequence[Clip],
-    shown: Pairs | None,
-    begin_at: dict[str, Clip] | None,
-    data: dict[str, Any],
     display: Display,
     stopper: Stopper,
     begin: Callable[[], None],
 ) -> None:
-    config = preset.stages[name]
-    if shown is not None:
-        config = shown_estimates(name, config)
-    if args.body is not None:  # the balance term is of our own legs
-        config = replace(config, policy=replace(config.policy, balance="none"))
-    env_config = _env_config(args, preset, config)
-    learnt, validation = split_validation(clips, args.hold_out, preset.validation_clips)
-    if args.validation is not None:
-        validation = validation_clips(args, preset.validation_clips)
-    # Each stage has its own random stream, whether it runs alone or after another.
-    seed = args.seed + 1000 * list(preset.stages).index(name)
+    args, preset, config = training.args, training.preset, training.config(name)
+    env_config, seed = _env_config(args, preset, config), training.seed(name)
+    learnt, validation = training.split()
     torch.manual_seed(seed)
-
-    def seen(part: Sequence[Clip]) -> list[Clip] | None:
-        return None if shown is None else [shown[clip.name][1] for clip in part]
-
     count = preset.num_envs if args.envs is None else args.envs
     fresh = FreshMotions(learnt, args.vary, args.redraw or REDRAW_STEPS, seed)
     draw = fresh.last(args.out / name / "last") if args.resume else 0
-    part = seen(learnt)
-    batch = BatchSpec(fresh.at(draw), env_config, count, seed + draw, args.threads, part, begin_at)
+    clips, shown = fresh.at(draw), training.seen(learnt)
+    batch = BatchSpec(
+        clips, env_config, count, seed + draw, args.threads, shown, training.begin_at
+    )  # fmt: skip
     env = batch.make() if args.workers == 0 else ActorPool(batch, args.workers)
-    sim = evaluation_sim(
-        validation,
-        from_first_frames(env_config),
-        args.threads,
-        shown=seen(validation),
-    )
+    first = from_first_frames(env_config)
+    sim = evaluation_sim(validation, first, args.threads, shown=training.seen(validation))
 
     def validate(agent: PolicyAgent) -> Followed:
         agent.bind(sim)
         return follow(agent, sim, validation)
 
+    record = {"preset": args.preset, "seed": args.seed, "threads": args.threads, **training.data}
     try:
         learner = make_learner(name, args, config, env, seed, display.say)
         stage = Stage(
             name=name,
             learner=learner,
             env=env,
-            needs=Needs(
-                sensors=args.sensors,
-                future_frames=args.future_frames,
-                privileged="privileged" in config.policy.actor_blocks,
-                body_preset=preset.body_preset,
-                body=env_config.body,
-                observe_proportions=args.observe_proportions,
-            ),
+            needs=training.needs(config, env_config.body),
             folder=args.out / name,
             budget=_budget(name, args, preset),
             validate=validate,
             evaluate_every=config.evaluate_every,
-            record={"preset": args.preset, "seed": args.seed, "threads": args.threads, **data},
+            record=record,
             must_improve=name == "finetune",
             before_iteration=_schedule(config, learner),
             log=args.log,

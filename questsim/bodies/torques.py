@@ -9,35 +9,46 @@ import mujoco
 import numpy as np
 from scipy.optimize import nnls
 
-from questsim.bodies.body_map import BodyMap
+from questsim.bodies.body_map import BodyMap, OwnBody, map_of
 from questsim.motion.clip import FPS, Clip
-from questsim.motion.inverse_dynamics import CONTACT_HEIGHT_M, EDGES, ROOT_WEIGHTS, SPREAD
+from questsim.motion.inverse_dynamics import (
+    CONTACT_HEIGHT_M,
+    EDGES,
+    ROOT_WEIGHTS,
+    SPREAD,
+    cached_torques,
+)
 
 _NEAR = 12
 """At most this many lowest points of the feet carry load: a mesh or a box has many corners."""
 
 
-def own_torques(body: BodyMap, clips: Sequence[Clip]) -> np.ndarray:
+def own_torques(body: OwnBody, clips: Sequence[Clip]) -> np.ndarray:
     """``(F, D)`` float32 torques of clips of the body, as shares of each joint's limit.
 
-    The method of ``questsim.motion.inverse_dynamics``, with the body's own support.
+    The method of ``questsim.motion.inverse_dynamics``, with the body's own support; each clip's
+    torques are kept in the cache folder as well.
     """
-    model = copy.copy(body.body.model)
+    own = map_of(body)
+    model = copy.copy(own.body.model)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     data = mujoco.MjData(model)
-    torques = []
-    for clip in clips:
+
+    def shares(clip: Clip) -> np.ndarray:
         acceleration = np.gradient(clip.qvel, 1.0 / FPS, axis=0)
-        bottoms = body.support.bottoms(clip.link_position, clip.link_quat)
+        bottoms = own.support.bottoms(clip.link_position, clip.link_quat)
+        torques = []
         for frame in range(len(clip)):
             data.qpos[:], data.qvel[:] = clip.qpos[frame], clip.qvel[frame]
             data.qacc[:] = acceleration[frame]
             mujoco.mj_inverse(model, data)
             force = np.array(data.qfrc_inverse)
-            torques.append(force[6:] - _from_floor(body, model, data, bottoms[frame], force)[6:])
-    shares = np.array(torques) / body.body.torque_limits
-    return np.clip(shares, -1.0, 1.0).astype(np.float32)
+            torques.append(force[6:] - _from_floor(own, model, data, bottoms[frame], force)[6:])
+        return np.clip(np.array(torques) / own.body.torque_limits, -1.0, 1.0)
+
+    key = body.digest.encode()
+    return np.concatenate([cached_torques(clip, key, shares, len(own.dofs)) for clip in clips])
 
 
 def _from_floor(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import mujoco
 import numpy as np
@@ -35,7 +36,7 @@ SPREAD = 0.05
 EDGES = np.array(
     [[FRICTION, 0.0, 1.0], [-FRICTION, 0.0, 1.0], [0.0, FRICTION, 1.0], [0.0, -FRICTION, 1.0]]
 )
-VERSION = b"1"
+VERSION = b"2"
 """Part of the cache key: change it with the method, so that torques are recomputed."""
 
 
@@ -112,7 +113,7 @@ class InverseDynamics:
 def reference_torques(clips: Sequence[Clip], preset: str = "default") -> np.ndarray:
     """Torques of clips of the 1.75 m body, divided by its torque limits; clips are concatenated.
 
-    They take 0.1 ms a frame to compute and are cached in the cache folder.
+    They take 0.1 ms a frame to compute; each clip's are kept in the cache folder.
 
     Args:
         clips: of 1.75 m.
@@ -121,24 +122,40 @@ def reference_torques(clips: Sequence[Clip], preset: str = "default") -> np.ndar
     Returns:
         ``(F, 33)`` float32, as shares of each joint's limit.
     """
-    digest = hashlib.sha256(VERSION + preset.encode())
-    digest.update(mjcf_path("humanoid.xml").read_bytes())
-    for clip in clips:
-        digest.update(np.ascontiguousarray(clip.qpos, "<f8").tobytes())
-        if clip.proportions is not None:
-            digest.update(repr(clip.proportions.places).encode())
-    path = cache_dir() / "torques" / f"{digest.hexdigest()[:32]}.npy"
-    if path.exists():
-        kept = np.load(path, allow_pickle=False)
-        if kept.shape == (sum(map(len, clips)), NUM_DOFS):
-            return kept
     limits = build_body(preset=preset).torque_limits
-    dynamics = {
-        parts: InverseDynamics(preset=preset, proportions=parts)
-        for parts in dict.fromkeys(clip.proportions for clip in clips)
-    }
-    torques = np.concatenate([dynamics[c.proportions].torques(c) / limits for c in clips])
-    torques = torques.astype(np.float32)
+    dynamics: dict[Proportions | None, InverseDynamics] = {}
+
+    def shares(clip: Clip) -> np.ndarray:
+        if clip.proportions not in dynamics:
+            dynamics[clip.proportions] = InverseDynamics(
+                preset=preset, proportions=clip.proportions
+            )
+        return dynamics[clip.proportions].torques(clip) / limits
+
+    body = preset.encode() + mjcf_path("humanoid.xml").read_bytes()
+    return np.concatenate([cached_torques(clip, body, shares, NUM_DOFS) for clip in clips])
+
+
+def cached_torques(
+    clip: Clip, body: bytes, shares: Callable[[Clip], np.ndarray], dofs: int
+) -> np.ndarray:
+    """Torques ``(T, dofs)`` of a clip, float32, from the cache folder or computed and put there.
+
+    Args:
+        clip: of the body.
+        body: what distinguishes the body from all others, except the clip's proportions.
+        shares: computes the torques.
+        dofs: the body's number of hinges.
+    """
+    digest = hashlib.sha256(VERSION + body)
+    digest.update(np.ascontiguousarray(clip.qpos, "<f8").tobytes())
+    digest.update(repr(clip.proportions and clip.proportions.places).encode())
+    path = cache_dir() / "torques" / f"{digest.hexdigest()[:32]}.npy"
+    with suppress(OSError, ValueError, EOFError):  # missing or damaged: computed anew
+        kept = np.load(path, allow_pickle=False)
+        if kept.shape == (len(clip), dofs):
+            return kept
+    torques = shares(clip).astype(np.float32)
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as fresh, fresh.open("wb") as file:
         np.save(file, torques)

@@ -11,7 +11,8 @@ from agents.kinematic.entry import CPU, ROOTS_ALIGNED, SMOKE, Entry, no_options
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.learning import Config, Learning
 from agents.kinematic.scenario import Scenario, Variant
-from agents.kinematic.sparseposer.poser import SparsePoser, SparsePoserModule, SparsePoserSpec
+from agents.kinematic.sparseposer.networks import SparsePoserModule, SparsePoserSpec
+from agents.kinematic.sparseposer.poser import SparsePoser
 from agents.kinematic.sparseposer.training import WEIGHTS, make_task
 from questsim.sensors import SENSOR_SETS
 

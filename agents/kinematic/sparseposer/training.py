@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from agents.kinematic.data import MotionBank, Windows
 from agents.kinematic.learning import Learning, Task
-from agents.kinematic.sparseposer.poser import ENDS, LIMBS, TURNED, SparsePoserModule, root_space
+from agents.kinematic.sparseposer.networks import ENDS, LIMBS, TURNED, SparsePoserModule, root_space
 from agents.precision import products
 from questsim import differentiable as diff
 from questsim.skeleton import NUM_JOINTS
