@@ -1,7 +1,9 @@
 """The observation of every simulation, compiled: the blocks of ``envs.layout``, one after another.
 
 Plain loops over simulations and links, compiled by Numba. Each simulation is independent of the
-others, so results do not depend on how the batch is split among threads.
+others, so results do not depend on how the batch is split among threads. The functions that write
+one block are inlined (``forceinline``): passing records of arrays to a call takes as long as a
+third of the work.
 """
 
 from __future__ import annotations
@@ -111,7 +113,7 @@ def _faulty_device(devices, i, d, row, frame, scale, place, view, out, at):
     )  # fmt: skip
 
 
-@jit
+@jit(forceinline=True)
 def _own_state(i, state, reference, view, below, out):
     """Write ``o_sim`` of simulation ``i`` to ``out``; returns the column after it.
 
@@ -151,7 +153,7 @@ def _own_state(i, state, reference, view, below, out):
     return at
 
 
-@jit
+@jit(forceinline=True)
 def _seen_devices(i, episodes, devices, view, out, at):
     """Write ``o_user`` of simulation ``i`` to ``out[at:]``; returns the column after it."""
     frame, begin, end, place = episodes.frame, episodes.begin, episodes.end, episodes.place
@@ -175,7 +177,7 @@ def _seen_devices(i, episodes, devices, view, out, at):
     return at
 
 
-@jit
+@jit(forceinline=True)
 def _future_poses(i, state, episodes, reference, target, privileged, view, out, at):
     """Write the reference's poses ahead to ``out[at:]``; returns the column after them."""
     c, s, clip_c, clip_s, _, _ = view
@@ -201,7 +203,7 @@ def _future_poses(i, state, episodes, reference, target, privileged, view, out, 
     return at
 
 
-@jit
+@jit(forceinline=True)
 def _present_errors(i, state, episodes, reference, target, view, out, at):
     """Write midway angles, reference torques and tracking errors to ``out[at:]``."""
     xpos, xquat, cvel, com = state.xpos, state.xquat, state.cvel, state.com
