@@ -7,7 +7,7 @@ import numpy as np
 from envs.kernel_arguments import Episodes, ReferenceRows, State, Target
 from envs.placement import turn_quat, turned
 from questsim import rotations as rot
-from questsim.reward import COMPILED, Moment, Reference, RewardConfig, extra_terms
+from questsim.reward import COMPILED, Moment, ReferenceState, RewardConfig, extra_terms
 
 
 def moment_of(
@@ -43,7 +43,7 @@ def moment_of(
         previous_foot_force=previous_force,
         torque=torque,
         torque_limits=torque_limits,
-        reference=Reference(
+        reference=ReferenceState(
             joint_angles=target.angles[:, 0],
             joint_velocities=rows.qvel[now, 6:],
             link_positions=target.position[:, 0],

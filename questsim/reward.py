@@ -46,10 +46,10 @@ class Moment(NamedTuple):
     previous_foot_force: np.ndarray
     torque: np.ndarray
     torque_limits: np.ndarray
-    reference: Reference
+    reference: ReferenceState
 
 
-class Reference(NamedTuple):
+class ReferenceState(NamedTuple):
     """State of the reference in a ``Moment``; fields as there."""
 
     joint_angles: np.ndarray

@@ -43,7 +43,7 @@ from questsim.joint_sensors import readings
 from questsim.motion.library import save_library
 from questsim.motion.retarget import to_clip
 from questsim.motion.retarget_back import to_motion
-from questsim.reward import PAPER_REWARD, TERMS, Moment, Reference, summed
+from questsim.reward import PAPER_REWARD, TERMS, Moment, ReferenceState, summed
 from questsim.sensors import SENSOR_SETS
 from questsim.skeleton import JOINTS
 from tests.helpers import swaying_clip
@@ -560,7 +560,7 @@ def test_a_reward_of_sums_has_the_published_formula():
     rng = np.random.default_rng(0)
     angles, links = rng.normal(0.0, 0.02, (2, 5, 33)), rng.normal(0.0, 0.02, (2, 5, 16, 3))
     turns = np.zeros((5, 16, 4))
-    reference = Reference(angles[0], angles[0], links[0], links[0], turns)
+    reference = ReferenceState(angles[0], angles[0], links[0], links[0], turns)
     force = np.zeros((5, 2))
     moment = Moment(angles[1], angles[1], links[1], links[1], turns, force, force,
                     angles[0], angles[0], reference)  # fmt: skip

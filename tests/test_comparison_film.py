@@ -16,7 +16,7 @@ from agents.comparison.film import (
     GHOST_OPACITY,
     STRIDE,
     FilmFigure,
-    Scene,
+    FilmScene,
     Size,
     over_users_floor,
     parts_of,
@@ -49,7 +49,7 @@ def library(tmp_path):
     return str(path)
 
 
-def scene(lost_after: int | None = None) -> Scene:
+def scene(lost_after: int | None = None) -> FilmScene:
     user = to_clip(MOTION)
     moved = user.qpos + np.eye(40)[0] * 0.05
     shorter = clip_from_qpos("sway", moved[:lost_after], user.height_m)
@@ -58,7 +58,7 @@ def scene(lost_after: int | None = None) -> Scene:
         FilmFigure("ik", "6 trackers", "kinematic", user),
         FilmFigure("questsim", "headset", "policy", shorter),
     ]
-    return Scene(parts, SMALL)
+    return FilmScene(parts, SMALL)
 
 
 @needs_gl

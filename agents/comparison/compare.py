@@ -30,7 +30,7 @@ from agents.comparison.plots import plot_accuracy, plot_plausibility
 from agents.comparison.record import FILE as RECORD_FILE
 from agents.comparison.record import Record
 from agents.comparison.report import COSTS, RECORDING, TABLES, row_of, table, write
-from agents.comparison.run import Estimates, Plan, compute, devices_named, suiting, workers
+from agents.comparison.run import KeptPoses, Plan, compute, devices_named, suiting, workers
 from agents.comparison.scenarios import Scenario
 from agents.evaluation.follow import choose_clips
 from agents.kinematic.data import motions_record
@@ -240,7 +240,7 @@ def _compute(work: Sequence[Work], args: CompareArgs, record: Record) -> None:
         keys = [each.plan.key(row) for row in each.plan.rows]
         left += len(record.missing(keys, each.names))
     whole, done, rate, began = max(left, 1), 0, 0.0, time.monotonic()
-    estimates = Estimates()
+    estimates = KeptPoses()
     with Display() as display, workers(args.threads, args.workers, args.ray) as mapper:
         for number, each in enumerate(in_turn(work), start=1):
             name = each.plan.key(each.plan.rows[0])

@@ -136,7 +136,7 @@ def film(
         return False
     parts = [parts_of(agent, motions, threads, start) for agent in agents]
     scenes = [
-        Scene([_user(motion), *(of_clip[i] for of_clip in parts)], SIZE)
+        FilmScene([_user(motion), *(of_clip[i] for of_clip in parts)], SIZE)
         for i, motion in enumerate(motions)
     ]
     try:
@@ -221,7 +221,7 @@ def _in_words(devices: Sequence[str]) -> str:
 # -- pictures ----------------------------------------------------------------------------------
 
 
-class Scene:
+class FilmScene:
     """Figures side by side in one clip.
 
     Args:
@@ -331,11 +331,11 @@ def look_of(kind: str) -> Look:
     return replace(AVATAR, shirt=(red, green, blue, 1.0))
 
 
-def _picture(renderer: SceneRenderer, scene: Scene, frame: int) -> np.ndarray:
+def _picture(renderer: SceneRenderer, scene: FilmScene, frame: int) -> np.ndarray:
     return _captioned(renderer.render(scene.poses(frame), scene.cameras[frame]), scene, frame)
 
 
-def _captioned(picture: np.ndarray, scene: Scene, frame: int) -> np.ndarray:
+def _captioned(picture: np.ndarray, scene: FilmScene, frame: int) -> np.ndarray:
     size = max(9, round(scene.size.height / 28))
     time = f"{frame / FPS:.1f} s"
     picture = caption(picture, {"top left": title(scene.user), "top right": time}, size=size)
@@ -344,12 +344,12 @@ def _captioned(picture: np.ndarray, scene: Scene, frame: int) -> np.ndarray:
     return labelled(picture, labels, width, size)
 
 
-def _renderer(scene: Scene) -> SceneRenderer:
+def _renderer(scene: FilmScene) -> SceneRenderer:
     reach = float(np.linalg.norm(scene.offsets[-1])) / 2.0 + 1.5
     return SceneRenderer(scene.figures(), scene.width, scene.size.height, reach_m=reach)
 
 
-def pictures(scene: Scene) -> Iterator[np.ndarray]:
+def pictures(scene: FilmScene) -> Iterator[np.ndarray]:
     """The film of one clip: pictures ``(height, width, 3)`` at ``FPS / STRIDE``."""
     with _renderer(scene) as renderer:
         picture = None
@@ -361,11 +361,11 @@ def pictures(scene: Scene) -> Iterator[np.ndarray]:
         yield picture
 
 
-def sheet(scenes: Sequence[Scene]) -> Image.Image:
+def sheet(scenes: Sequence[FilmScene]) -> Image.Image:
     """A few moments of each clip, one row per clip, smaller than in the film."""
     rows = []
     for scene in scenes:
-        small = Scene(scene.parts, scene.size.scaled(_SHEET_SCALE))
+        small = FilmScene(scene.parts, scene.size.scaled(_SHEET_SCALE))
         with _renderer(scene) as renderer:
             for share in MOMENTS:
                 frame = round(share * (scene.frames - 1))

@@ -173,7 +173,7 @@ class Plan:
         return f"{self.name}: {row}"
 
 
-class Estimates:
+class KeptPoses:
     """The poses of the last system and scenario, so that rows with physics use them again."""
 
     def __init__(self) -> None:
@@ -195,7 +195,7 @@ def compute(
     threads: int,
     mapper: Mapper,
     record: Record,
-    estimates: Estimates,
+    estimates: KeptPoses,
     whole: bool = False,
 ) -> Iterator[int]:
     """Score the clips that the record lacks; yields how many are done after each step.

@@ -26,7 +26,7 @@ from agents.policy.stepping import (
     LEG_DOFS,
     PLACEMENTS,
     POSITION,
-    Placement,
+    FootPlacement,
     Stepping,
 )
 from questsim.body import DEFAULT_HEIGHT_M, POLICY_TIMESTEP_S, build_body
@@ -92,7 +92,7 @@ class Balance(nn.Module):
             ``tracking_errors``. ``steps``: so too, with the laws of ``stepping.py``. ``feet``: the
             target is midway between the feet and moves with them: the average position in both
             stance and gait. The network then adds the difference to the reference. ``placement``:
-            the same, with ``Placement``.
+            the same, with ``FootPlacement``.
     """
 
     columns: Tensor
@@ -110,7 +110,7 @@ class Balance(nn.Module):
         limits = model.actuator_ctrlrange[:LEG_DOFS, 1]
         self.reference = kind not in OUTPUTS
         self.stepping = Stepping() if kind == "steps" else None
-        self.placement = Placement() if kind == "placement" else None
+        self.placement = FootPlacement() if kind == "placement" else None
         first = STEPPING if kind == "steps" else STANDING
 
         def buffer(name: str, value: np.ndarray) -> None:
@@ -144,9 +144,9 @@ class Balance(nn.Module):
 
         They are the actions of the 12 hinges per unit acceleration in S, ``(12, 3)``, and position
         and velocity errors of the centre of mass, three numbers each. Those of ``Stepping`` or
-        ``Placement`` follow.
+        ``FootPlacement`` follow.
         """
-        state = State(obs.index_select(1, self.columns))
+        state = BalanceState(obs.index_select(1, self.columns))
         offset = self.centre * state.ratio[:, None]
         arm = state.rotated(offset)
         centre = self._mean(state.position + arm)
@@ -177,7 +177,7 @@ class Balance(nn.Module):
         Args:
             terms: of ``terms``.
             push: outputs of the network in m/s^2, in S: ``(n, 3)`` an additional acceleration, then
-                those for ``Placement``.
+                those for ``FootPlacement``.
         """
         basis = terms[:, : LEG_DOFS * PUSHES].unflatten(1, (LEG_DOFS, PUSHES))
         place, speed = terms[:, LEG_DOFS * PUSHES : SIZE].split(PUSHES, dim=1)
@@ -208,7 +208,7 @@ class Balance(nn.Module):
         """Mass-weighted mean over links: ``(n, 3)`` of ``(n, 16, 3)``."""
         return (of_links * self.mass_share[:, None]).sum(1)
 
-    def _basis(self, state: State, hinges: tuple[Tensor, Tensor], centre: Tensor) -> Tensor:
+    def _basis(self, state: BalanceState, hinges: tuple[Tensor, Tensor], centre: Tensor) -> Tensor:
         """``(n, 12, 3)`` action of each hinge of the legs for an acceleration."""
         axes, anchors = hinges
         # -(axis x (c - anchor)) . F: the hinge torque for which the floor force is F.
@@ -218,7 +218,7 @@ class Balance(nn.Module):
         return lever * (share * self.strength)[:, :, None]
 
     def _from_reference(
-        self, state: State, errors: Tensor, offset: Tensor, arm: Tensor
+        self, state: BalanceState, errors: Tensor, offset: Tensor, arm: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Position and velocity of the centre of mass, reference minus avatar, ``(n, 3)`` each."""
         place, turn, velocity, spin = errors.unbind(2)
@@ -231,7 +231,9 @@ class Balance(nn.Module):
         speed = speed - torch.linalg.cross(state.spin, arm)
         return self._mean(place + moved), self._mean(speed)
 
-    def _from_feet(self, state: State, centre: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor]:
+    def _from_feet(
+        self, state: BalanceState, centre: Tensor, velocity: Tensor
+    ) -> tuple[Tensor, Tensor]:
         """The same errors, horizontal, with the midpoint of the feet as target, ``(n, 3)`` each."""
         feet = list(FOOT_LINKS)
         flat = torch.tensor([1.0, 1.0, 0.0])
@@ -245,7 +247,7 @@ def _logarithm(value: np.ndarray) -> nn.Parameter:
     return nn.Parameter(torch.as_tensor(np.log(value), dtype=torch.float32))
 
 
-class State:
+class BalanceState:
     """The state of ``n`` avatars from ``o_sim`` and ``o_scale``, all in the frame S."""
 
     def __init__(self, columns: Tensor) -> None:

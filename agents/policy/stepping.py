@@ -10,7 +10,7 @@ With them a policy that has learnt nothing follows slow steps in all directions.
 - A foot in swing is softer: its springs would stop the body when it lands early.
 
 A student does not observe the reference. Its network gives the accelerations of the swing feet and
-of the pelvis itself (``Placement``); the hinges' torques follow from them in the same way.
+of the pelvis itself (``FootPlacement``); the hinges' torques follow from them in the same way.
 
 A foot is in swing while it carries less than ``SWING`` of the weight. Forces are per kilogram of
 the body, so that they hold for all statures. The start values were found by a search over the 20
@@ -30,7 +30,7 @@ from agents.policy.spec import initial_gains
 from questsim.skeleton import DOFS, FOOT_LINKS, NUM_DOFS
 
 if TYPE_CHECKING:
-    from agents.policy.balance import State
+    from agents.policy.balance import BalanceState
 
 LEG_DOFS = 12
 SWING = 0.15
@@ -43,7 +43,7 @@ LARGEST_ERROR_M = 0.25
 """The capture point's error counts at most this much."""
 
 PLACEMENTS = 7
-"""What a network gives to ``Placement``: horizontal accelerations of the left and the right foot in
+"""What a network gives to ``FootPlacement``: horizontal accelerations of both feet in
 S, and a rotation of the pelvis about the axes of S."""
 
 SIZE = 4 * LEG_DOFS + 2
@@ -109,7 +109,7 @@ class Stepping(nn.Module):
 
     def terms(
         self,
-        state: State,
+        state: BalanceState,
         hinges: tuple[Tensor, Tensor],
         errors: Tensor,
         capture: Tensor,
@@ -120,7 +120,7 @@ class Stepping(nn.Module):
 
         Args:
             state: of ``n`` avatars.
-            hinges: axes of the legs' hinges and points on them, see ``State.hinges``.
+            hinges: axes of the legs' hinges and points on them, see ``BalanceState.hinges``.
             errors: ``(n, 16, 4, 3)`` the observation's tracking errors.
             capture: ``(n, 3)`` capture point, avatar minus reference, in m.
             strength: ``(12,)`` mass over torque limit of each hinge, kg / (N m).
@@ -157,7 +157,7 @@ class Stepping(nn.Module):
         return _softness(self.softer, terms[:, -2:])
 
 
-class Placement(nn.Module):
+class FootPlacement(nn.Module):
     """Torques of the legs for the accelerations that a network asks of swing feet and pelvis."""
 
     def __init__(self) -> None:
@@ -165,7 +165,7 @@ class Placement(nn.Module):
         self.softer = nn.Parameter(torch.full((LEG_DOFS,), SLIGHTLY))
 
     def terms(
-        self, state: State, hinges: tuple[Tensor, Tensor], strength: Tensor, weight_n: float
+        self, state: BalanceState, hinges: tuple[Tensor, Tensor], strength: Tensor, weight_n: float
     ) -> Tensor:
         """Terms ``(n, 62)``; see ``Stepping.terms`` for the arguments.
 
@@ -197,19 +197,19 @@ class Placement(nn.Module):
         return _softness(self.softer, terms[:, -2:])
 
 
-def _swing(state: State, weight_n: float) -> Tensor:
+def _swing(state: BalanceState, weight_n: float) -> Tensor:
     """Share of swing ``(n, 2)`` of both feet: 1 without load, 0 from ``SWING`` of the weight."""
     return (1.0 - state.load / (SWING * weight_n)).clamp(0.0, 1.0)
 
 
-def _lever(state: State, hinges: tuple[Tensor, Tensor], strength: Tensor) -> Tensor:
+def _lever(state: BalanceState, hinges: tuple[Tensor, Tensor], strength: Tensor) -> Tensor:
     """``(n, 12, 3)`` action of each hinge for a unit acceleration of the body on its foot."""
     axes, anchors = hinges
     foot = state.position[:, list(FOOT_LINKS)].repeat_interleave(LEG_DOFS // 2, dim=1)
     return torch.linalg.cross(axes, foot - anchors) * strength[:, None]
 
 
-def _hip_share(state: State, weight_n: float) -> Tensor:
+def _hip_share(state: BalanceState, weight_n: float) -> Tensor:
     """Share ``(n, 12)`` of each hip hinge in turning the pelvis, by its leg's load; others 0."""
     load = state.load / (state.load.sum(1, keepdim=True) + SWING * weight_n)
     return load.repeat_interleave(LEG_DOFS // 2, dim=1) * HIPS

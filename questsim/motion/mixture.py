@@ -22,7 +22,7 @@ SUFFIX = ".toml"
 
 
 @dataclass(frozen=True)
-class Entry:
+class MixtureEntry:
     """One source of a part, ``[[PART]]`` in the file.
 
     Attributes:
@@ -100,7 +100,7 @@ def load_mixture(
 
 
 def _with_seeds(
-    entries: Sequence[Entry], chosen: Sequence[tuple[str, list[T]]], seed: int
+    entries: Sequence[MixtureEntry], chosen: Sequence[tuple[str, list[T]]], seed: int
 ) -> Iterator[tuple[int, T]]:
     for entry, (_, members) in zip(entries, chosen, strict=True):
         for motion in members:
@@ -113,7 +113,7 @@ def _key(motion: Clip | Motion, seed: int) -> tuple[str, ...]:
 
 
 def _choose(
-    entry: Entry,
+    entry: MixtureEntry,
     path: Path,
     where: str,
     load: Callable[[str, int], list[T]],
@@ -156,7 +156,7 @@ def _names(found: Sequence[Clip | Motion]) -> str:
     return f"its clips are named like {', '.join(m.name for m in found[:3])}"
 
 
-def _listed(entry: Entry, path: Path, where: str) -> set[str]:
+def _listed(entry: MixtureEntry, path: Path, where: str) -> set[str]:
     if not entry.exclude_list:
         return set()
     file = path.parent / entry.exclude_list
@@ -170,11 +170,11 @@ def _listed(entry: Entry, path: Path, where: str) -> set[str]:
     return {line.strip() for line in lines if line.strip()}
 
 
-def read_mixture(path: Path) -> dict[str, list[Entry]]:
+def read_mixture(path: Path) -> dict[str, list[MixtureEntry]]:
     """The parts of a mixture file and their entries, in the file's order.
 
     Raises:
-        InputError: the file cannot be read, or a key or value is not one of ``Entry``'s.
+        InputError: the file cannot be read, or a key or value is not one of ``MixtureEntry``'s.
     """
     table = read_toml(path, "mixture file")
     for name, entries in table.items():
@@ -190,8 +190,8 @@ def read_mixture(path: Path) -> dict[str, list[Entry]]:
     }
 
 
-def _entry(table: dict[str, Any], path: Path, where: str) -> Entry:
-    place, known = f"{path}: {where}", [field.name for field in fields(Entry)]
+def _entry(table: dict[str, Any], path: Path, where: str) -> MixtureEntry:
+    place, known = f"{path}: {where}", [field.name for field in fields(MixtureEntry)]
     for key, value in table.items():
         if key not in known:
             near = difflib.get_close_matches(key, known, 1)
@@ -216,7 +216,7 @@ def _entry(table: dict[str, Any], path: Path, where: str) -> Entry:
     motions = ",".join(_beside(path, piece) for piece in table["motions"].split(","))
     values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}
     values["motions"] = motions
-    return Entry(**values)
+    return MixtureEntry(**values)
 
 
 def _beside(path: Path, piece: str) -> str:

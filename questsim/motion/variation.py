@@ -28,7 +28,7 @@ from questsim.motion.varying.figure import (
     misfit,
     solve,
 )
-from questsim.motion.varying.upper import LEG_M, Moment
+from questsim.motion.varying.upper import LEG_M, Timing
 
 SHORTEST_S, LONGEST_S = 1.0, 10.0
 """Shortest clip in seconds that can be varied, and the longest part of one that is used."""
@@ -335,13 +335,13 @@ def _lean(figure: Figure, size: float, rng: np.random.Generator) -> None:
 
 def _moments(
     figure: Figure, rng: np.random.Generator, least_s: float, most_s: float
-) -> tuple[Moment, ...]:
+) -> tuple[Timing, ...]:
     """When an ingredient acts in a clip: a few times, once, or (empty) all the time."""
     if rng.random() < 0.25:
         return ()
     moments, at = [], rng.uniform(-0.5, 0.6)
     while at < upper.seconds(figure) - least_s and len(moments) < 4:
         ease, hold = rng.uniform(least_s, most_s), rng.exponential(0.8)
-        moments.append(Moment(at, ease, hold))
+        moments.append(Timing(at, ease, hold))
         at += 2.0 * ease + hold + rng.exponential(0.5)
     return tuple(moments)

@@ -25,7 +25,7 @@ _OVERHEAD = np.array([0.3, 1.0, -0.3])
 
 
 @dataclass(frozen=True)
-class Moment:
+class Timing:
     """When an ingredient acts: from 0 to 1 within ``ease``, held, and back; in seconds."""
 
     begin: float
@@ -38,7 +38,7 @@ class Moment:
         return smoothstep((time - self.begin) / self.ease) * smoothstep((end - time) / self.ease)
 
 
-def shares(moments: tuple[Moment, ...], time: np.ndarray) -> np.ndarray:
+def shares(moments: tuple[Timing, ...], time: np.ndarray) -> np.ndarray:
     """The largest share ``(T,)`` of several moments; 1 throughout if there are none."""
     if not moments:
         return np.ones(len(time))
