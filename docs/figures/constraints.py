@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from agents.comparison.film import FilmFigure as Part
-from agents.comparison.film import Scene, Size, pictures, sheet
+from agents.comparison.film import FilmScene, Size, pictures, sheet
 from agents.comparison.plots import KINDS
 from agents.kinematic import UserBody, load_system
 from agents.kinematic.dragposer.constraints import (
@@ -98,7 +98,7 @@ def main() -> None:
     motion = replace(
         whole, rotations=whole.rotations[frames], root_position=whole.root_position[frames]
     ).resampled(SENSOR_FPS)
-    scene = Scene(parts(motion), SIZE)
+    scene = FilmScene(parts(motion), SIZE)
     args.out.mkdir(parents=True, exist_ok=True)
     write_video(args.out / "constraints.mp4", pictures(scene), FPS / 2)
     with whole_file(args.out / "constraints.png") as path:

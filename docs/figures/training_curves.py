@@ -18,7 +18,7 @@ import matplotlib.pyplot as plt
 
 HERE = Path(__file__).parent
 TABLE, IMAGES = HERE / "curves.csv", HERE.parent / "images"
-COLUMNS = ("curve", "steps", "tracked", "link_error_cm", "score")
+COLUMNS: tuple[str, ...] = ("curve", "steps", "tracked", "link_error_cm", "score")
 FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
     "training-teacher.png": (
         "springs of 100 c",
