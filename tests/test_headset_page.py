@@ -38,10 +38,10 @@ def chromium():
 
 @pytest.fixture(scope="module")
 def walk() -> Recording:
-    """The first five seconds of the shipped recording, every second frame: drawing is slow here."""
+    """The first five seconds of the shipped recording, every third frame: drawing is slow here."""
     whole = read_recording(Path("synthetic"))
     end = whole.frames[0].time_s + 5.0
-    return Recording(tuple(f for f in whole.frames if f.time_s < end)[::2])
+    return Recording(tuple(f for f in whole.frames if f.time_s < end)[::3])
 
 
 def test_person_in_an_emulated_headset_moves_the_avatar_as_the_recording_does(
@@ -78,7 +78,7 @@ def test_person_in_an_emulated_headset_moves_the_avatar_as_the_recording_does(
     }
     shown = [m for m in map(json.loads, texts) if m["type"] == "pose"]
     shown = [m for m in shown if m["dropped"] == 0]  # a busy machine drops frames
-    assert len(shown) > 20
+    assert len(shown) > 10
     for message in shown:
         assert np.reshape(message["p"], (16, 3)) == pytest.approx(poses[message["seen"]], abs=0.001)
 
