@@ -2,19 +2,19 @@
 
     python -m benchmarks.cluster [--json] [--envs 256] [--repeats 5]
 
-The teacher of the preset `cpu` learns by PPO on one thread: without Ray, with one worker, and with
-two workers of half the avatars each. Times are CPU times of the learner and its workers, so that
-other programs do not disturb them. A model with these costs predicts larger clusters, with 256
-avatars and one core a worker. Seconds of an iteration:
+The teacher of the preset `cpu` learns by PPO on one thread: without Ray, with one worker, with two
+workers of half the avatars each, and with two that compute the gradients themselves. Times are CPU
+times of the learner and its workers, so that other programs do not disturb them. A model with these
+costs predicts larger clusters, with 256 avatars and one core a worker. Seconds of an iteration:
 
     rollouts to the learner:  s * p + N * s * b / B + N * s * u / 2
     gradients of the workers: s * p + s * u + k * 2 * g / B
 
 with s = avatars of a worker * steps; p, u seconds to play and to learn from one step on one core;
 N the workers, B the bandwidth, b the bytes of a step, k the minibatches of an iteration of one
-worker, g the bytes of a gradient. Workers play side by side. In the first line, which is what the
-project does, the learner alone receives and learns, on two cores that share the work evenly. The
-second is the best case of averaging the gradients: no worker waits for another.
+worker, g the bytes of a gradient. Workers play side by side. In the first line (the default) the
+learner alone receives and learns, on two cores that share the work evenly. The second is
+`--gradients workers` at best: no worker waits for another.
 """
 
 from __future__ import annotations
@@ -28,11 +28,12 @@ from typing import Any
 import torch
 
 from agents.training.cluster import ActorPool
-from agents.training.make_learner import make_ppo
+from agents.training.make_ppo import make_ppo
 from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PRESETS, PPOConfig
 from agents.training.ray_session import ray_cluster
 from agents.training.rollout_worker import BatchSpec
+from agents.training.shared_update import LearningPool, make_shared_ppo
 from benchmarks.common import arguments, clips, report
 from envs.config import EnvConfig
 
@@ -87,7 +88,8 @@ class Timed:
 
     def __init__(self, env: Any) -> None:
         self.env = env
-        self.ppo: AdaptivePPO = make_ppo(STAGE, STAGE.learning, env, 0, 1)  # type: ignore[arg-type]
+        make: Any = make_shared_ppo if isinstance(env, LearningPool) else make_ppo
+        self.ppo: AdaptivePPO = make(STAGE, STAGE.learning, env, 0, 1)
         self.whole: list[float] = []
         self.update: list[float] = []
         train = self.ppo.train
@@ -116,7 +118,12 @@ class Timed:
     def seconds(self) -> tuple[float, float]:
         """Median of the rollouts' and of the updates' times."""
         updates = statistics.median(self.update)
-        return statistics.median(self.whole) - updates, updates
+        return self.iteration - updates, updates
+
+    @property
+    def iteration(self) -> float:
+        """Median time of an iteration."""
+        return statistics.median(self.whole)
 
 
 def measured(envs: int, repeats: int) -> tuple[dict[str, float], Costs]:
@@ -125,16 +132,18 @@ def measured(envs: int, repeats: int) -> tuple[dict[str, float], Costs]:
     assert isinstance(learning, PPOConfig)
     config = EnvConfig(privileged=True, sampling=STAGE.sampling, reward=STAGE.reward)
     batch, samples = BatchSpec(clips(), config, envs, seed=0), envs * learning.rollout_steps
-    with ray_cluster(None, 3), ExitStack() as stack:
+    learners = "2 workers that learn"
+    with ray_cluster(None, 5), ExitStack() as stack:
         runs = {"no Ray": Timed(batch.make())}
         runs |= {f"{count} worker(s)": Timed(ActorPool(batch, count)) for count in (1, 2)}
+        runs[learners] = Timed(LearningPool(batch, 2))
         for run in runs.values():
             stack.callback(run.env.close)
         for _ in range(repeats):
             for run in runs.values():
                 run.iterate()
         size = runs["1 worker(s)"].env.bytes_a_rollout / samples
-    whole = {name: sum(run.seconds) for name, run in runs.items()}
+    whole = {name: run.iteration for name, run in runs.items()}
     play, learn = runs["no Ray"].seconds
     weights = sum(p.numel() for p in runs["no Ray"].ppo.policy.parameters())
     costs = Costs(
@@ -143,6 +152,7 @@ def measured(envs: int, repeats: int) -> tuple[dict[str, float], Costs]:
     return {
         **{f"{name}, steps per CPU second": samples / spent for name, spent in whole.items()},
         **{f"{n} worker(s) over no Ray": whole["no Ray"] / whole[f"{n} worker(s)"] for n in (1, 2)},
+        f"{learners} over no Ray": whole["no Ray"] / whole[learners],
         "play, us a step": 1e6 * costs.play,
         "learn, us a step": 1e6 * costs.learn,
         "MB a rollout": size * samples / 1e6,

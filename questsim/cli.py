@@ -16,7 +16,7 @@ from questsim import __version__
 from questsim.errors import BAD_INPUT, INTERRUPTED, InputError
 from questsim.extensions import load_extensions
 from questsim.modes import Modes
-from questsim.processes import processes
+from questsim.processes import own_cores, processes
 
 
 class Command(NamedTuple):
@@ -143,7 +143,7 @@ def guarded(function: Callable[[], object]) -> int:
         printed without a traceback; 130 after Ctrl-C. Anything else is a bug and is raised.
     """
     try:
-        with processes(2):
+        with processes(own_cores()):
             result = function()
         sys.stdout.flush()
     except InputError as error:

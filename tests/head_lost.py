@@ -14,7 +14,7 @@ WHOLE = "stages.teacher.learning.rollout_steps=4 stages.teacher.learning.minibat
 
 
 def main(folder: Path) -> None:
-    cluster = own_cluster(folder, 2)
+    cluster, _ = own_cluster(folder, 2)
     out, log = folder / "run", folder / "log"
     options = (
         f"--preset smoke --stage teacher --motions synthetic:stand --envs 4 --threads 1 --out {out}"

@@ -7,7 +7,7 @@ from dataclasses import replace
 from fake_env import FakeVecEnv
 
 from agents.policy.spec import TRACKER_BLOCKS, PolicySpec
-from agents.training.make_learner import make_ppo
+from agents.training.make_ppo import make_ppo
 from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PPOConfig, StageConfig
 

@@ -10,14 +10,32 @@ import secrets
 from pathlib import Path
 from typing import Any
 
+from agents.training.ray_session import PATIENCE
 
-def own_cluster(folder: Path, cores: int) -> Any:
-    """Start a cluster with a head of so many cores; others need the token in ``folder``."""
+STARTS = 3
+"""Attempts to start: Ray gives up when a node takes longer than 30 s, as on a busy machine."""
+
+
+def own_cluster(folder: Path, *cores: int) -> tuple[Any, list[Any]]:
+    """Start a cluster of nodes with so many cores; others need the token in ``folder``.
+
+    Returns:
+        The cluster, and the nodes beside its head.
+    """
     token = folder / "token"
     token.write_text(secrets.token_hex(32))
     os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(token)}
-    os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"}
+    os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"} | PATIENCE
     from ray.cluster_utils import Cluster
 
-    node = {"num_cpus": cores, "include_dashboard": False}
-    return Cluster(initialize_head=True, head_node_args=node)
+    for attempt in range(1, STARTS + 1):
+        cluster = Cluster()
+        try:
+            first, *others = cores
+            cluster.add_node(num_cpus=first, include_dashboard=False)
+            return cluster, [cluster.add_node(num_cpus=each) for each in others]
+        except Exception:  # Ray raises plain ones
+            cluster.shutdown()
+            if attempt == STARTS:
+                raise
+    raise AssertionError("unreachable")

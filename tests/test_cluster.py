@@ -7,9 +7,11 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,15 +19,23 @@ import torch
 import yaml
 from learners import QUICK, SMALL, nothing
 
+from agents.kinematic.data import MotionBank
+from agents.kinematic.fit import Fit
+from agents.kinematic.registry import AGENTS
+from agents.kinematic.team import RayTeam, SharedStage, part_of
 from agents.run_folder import versions
-from agents.training.make_learner import make_ppo
+from agents.training.make_ppo import make_ppo
+from agents.training.peers import PeerLostError, average_gradients, join
 from agents.training.presets import StageConfig
 from agents.training.ray_session import check_versions, ray_cluster
 from agents.training.rollout_worker import BatchSpec, RolloutWorker, weights_of
+from agents.training.stage import Budget
 from envs.config import EnvConfig
 from questsim.cli import main
 from questsim.errors import InputError
+from questsim.motion.retarget_back import to_motion
 from questsim.motion.spec import load_motions
+from tests.helpers import swaying_clip
 
 STEPS = 4
 CONFIG = StageConfig(1.0, SMALL, replace(QUICK, rollout_steps=STEPS, minibatch=32, epochs=1))
@@ -109,20 +119,96 @@ def test_one_worker_gives_the_bits_of_none_also_with_new_clips_and_after_its_dea
     pool.close()
 
 
-def test_a_killed_worker_is_replaced_and_plays_the_same_again(batch, cluster):
-    from agents.training.cluster import ActorPool
+def test_workers_that_learn_together_lose_nothing_with_one_of_them(batch, cluster):
+    from agents.training.shared_update import LearningPool, make_shared_ppo
 
-    pool = ActorPool(batch, 2)
-    expected = trained(pool)
+    pool, found = LearningPool(batch, 2), []
+    assert list(pool.map(abs, [-1, -2, -3])) == [1, 2, 3]
+    begin = pool.get_state()
+    for death in (False, True):  # twice from the same state, with the same workers
+        pool.set_state(begin)
+        ppo = make_shared_ppo(CONFIG, CONFIG.learning, pool, 3)  # type: ignore[arg-type]
+        for done in range(3):
+            ppo.iterate(nothing, 0.0)
+            if death and done == 1:
+                os.kill(cluster.get(pool._actors[1].call.remote("pid")), signal.SIGKILL)
+        found.append(weights_of(ppo.policy))
+    assert ppo.policy.actor.norm.count == 3 * 4 * STEPS  # of both workers
+    assert same(*found)
     pool.close()
-    pool = ActorPool(batch, 2)
 
-    def kill(done: int) -> None:
-        if done == 1:
-            os.kill(cluster.get(pool._actors[1].call.remote("pid")), signal.SIGKILL)
 
-    assert same(trained(pool, after=kill), expected)
-    pool.close()
+def test_workers_that_share_the_batches_of_a_system_lose_nothing_with_one(tmp_path, cluster):
+    config = AGENTS["hmdposer"].presets["smoke"]
+    part = part_of(config.stages["network"], 2)
+    motions = [to_motion(swaying_clip(frames=90))]
+    about = ("hmdposer", config.spec, "network", part, 4, 0, 1)
+    team, found = RayTeam(SharedStage(*about, motions, []), 2), []
+    for death in (False, True):
+        torch.manual_seed(0)
+        module = AGENTS["hmdposer"].build(config.spec)
+        task = AGENTS["hmdposer"].task(module, "network", part, MotionBank(motions, part.window), 4)
+        folder, save = tmp_path / str(death), lambda *_: None
+        fit = Fit("network", module, task, part, folder, Budget(None, 4), save, {}, 0, team=team)
+        team.sync(fit._descent)
+        for step in range(4):
+            fit._step(0.0)
+            if death and step == 1:
+                os.kill(cluster.get(team._actors[0].pid.remote()), signal.SIGKILL)
+        found.append({name: value.numpy() for name, value in module.state_dict().items()})
+    assert same(*found)
+    team.close()
+
+
+def test_a_worker_that_learns_alone_has_the_bits_of_a_training_without(batch):
+    from agents.training.shared_update import LearningWorker, _packed, _unpacked
+
+    ppo = make_ppo(CONFIG, CONFIG.learning, batch.make(), 3)  # type: ignore[arg-type]
+    update, episodes = _packed(ppo.update_state()), []
+    worker = LearningWorker(batch)
+    worker.learn_ppo(CONFIG, CONFIG.learning.minibatch, 1)
+    for _ in range(3):
+        learned = worker.learn(update, episodes, False, 0.0)
+        update, episodes = learned.update, learned.played.episodes
+    ppo.load_update_state(_unpacked(update))
+    assert same(weights_of(ppo.policy), trained(batch.make()))
+
+
+def test_peers_average_like_one_worker_with_all_samples_and_notice_a_death(tmp_path):
+    values = torch.randn(2, 50, generator=torch.Generator().manual_seed(0))
+    found: list[Any] = [None, None]
+
+    def work(rank: int) -> None:
+        peers, spare = join((str(tmp_path / "peers"), 0), "127.0.0.1", rank, 2, 2)
+        own = values[rank]
+        parameter = torch.nn.Parameter(torch.zeros(50))
+        parameter.grad = own.clone()
+        average_gradients(peers, [parameter])
+        mean, std = spare.mean_and_std(own)
+        found[rank] = parameter.grad, mean, std, torch.stack(peers.each(own))
+        if rank == 0:
+            with pytest.raises(PeerLostError):
+                peers.mean(own)  # the other one has gone
+
+    threads = [threading.Thread(target=work, args=(rank,)) for rank in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    for gradient, mean, std, each in found:
+        torch.testing.assert_close(gradient, values.mean(0))
+        torch.testing.assert_close(mean, values.mean())
+        torch.testing.assert_close(std, values.std())
+        assert torch.equal(each, values)
+    assert torch.equal(found[0][0], found[1][0])
+
+
+def test_gradients_of_workers_without_workers_or_ppo_are_refused(tmp_path, capsys):
+    line = f"train --preset smoke --out {tmp_path / 'run'} --gradients workers"
+    assert main(line.split()) == 2
+    assert "--gradients workers: needs --workers; add --workers N" in capsys.readouterr().err
+    assert main([*line.split(), "--workers", "2", "--stage", "student"]) == 2
+    assert "none of the stages learns by PPO" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from dataclasses import replace
 
@@ -22,7 +23,7 @@ from agents.policy.spec import Layout, PolicySpec
 from envs.config import EnvConfig
 from envs.layout import observation_layout
 from envs.objects import objects_named
-from questsim.cli import run
+from questsim.cli import main, run
 from questsim.errors import InputError
 from questsim.metrics import evaluate as metrics_of
 from questsim.motion.clip import Clip
@@ -238,3 +239,25 @@ def test_numbers_that_are_too_small_are_refused_by_option(options, library):
 def test_baselines_go_by_name():
     assert load_agent("zero").name == "zero"
     assert load_agent("random").name == "random"
+
+
+def test_groups_of_a_mixture_are_counted_under_each_condition(library, clips, tmp_path, capsys):
+    save_library(tmp_path / "more.npz", [], [replace(clips[0], kind="more")])
+    entries = [f'[[test]]\nmotions = "{file}"\n' for file in (library, tmp_path / "more.npz")]
+    (tmp_path / "mine.toml").write_text("".join(entries))
+    out, line = tmp_path / "out", "evaluate --by-group --agent zero --threads 1"
+    line += f" --motions {tmp_path / 'mine.toml'} --out {out} --under"
+    assert main([*line.split(), "noon"]) == 2
+    assert "--under: there is no condition 'noon'; choose from reference" in capsys.readouterr().err
+    assert main([*line.split(), "reference", "standing"]) == 0
+    assert "standing" in capsys.readouterr().out
+    found = json.loads((out / "groups.json").read_text())["groups"]
+    assert list(found) == ["reference", "standing"]
+    for name, groups in found.items():
+        rows = list(csv.DictReader((out / name / "clips.csv").open()))
+        assert {group: each["clips"] for group, each in groups.items()} == {
+            "all": 4, str(library): 3, str(tmp_path / "more.npz"): 1,
+        }  # fmt: skip
+        completed = [int(row["completed"]) for row in rows]
+        assert groups["all"]["completed"] == sum(completed)
+        assert groups[str(tmp_path / "more.npz")]["completed"] == completed[-1]

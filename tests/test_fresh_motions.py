@@ -1,5 +1,6 @@
 """Trainings that learn variations beside their motions, drawn anew every so often."""
 
+import numpy as np
 import pytest
 import torch
 from helpers import swaying_clip
@@ -27,13 +28,16 @@ def tiny(out, **options) -> TrainArgs:
     return TrainArgs(out=out, **(given | options))
 
 
-def test_the_share_of_variations_is_that_asked_for_and_each_draw_is_another():
+def test_the_share_of_variations_is_that_asked_for_and_each_draw_is_another(monkeypatch):
     fresh = FreshMotions(CLIPS, share=0.6, every=100, seed=0)
     first, second = fresh.at(0), fresh.at(1)
     assert len(first) == len(second) == 5
     assert first[:2] == second[:2] == CLIPS
     assert {clip.name for clip in first[2:]}.isdisjoint(clip.name for clip in second[2:])
     assert [clip.source for clip in fresh.at(1)] == [clip.source for clip in second]
+    monkeypatch.setattr("agents.training.fresh_motions.PART", 2)  # of three
+    shared = fresh.at(1, lambda function, jobs: [function(job) for job in jobs])
+    assert all(np.array_equal(a.qpos, b.qpos) for a, b in zip(shared, second, strict=True))
     assert [fresh.number(steps) for steps in (0, 99, 100, 250)] == [0, 0, 1, 2]
 
 

@@ -178,7 +178,7 @@ def test_a_script_without_a_main_guard_loads_many_files(tmp_path):
     assert done.stdout.split() == ["3"], done.stderr
 
 
-def test_command_lines_read_many_files_on_two_processes(tmp_path, monkeypatch):
+def test_command_lines_read_many_files_on_all_cores(tmp_path, monkeypatch):
     for i in range(3):
         person(tmp_path / "many" / f"{i}.bvh")
     asked = []
@@ -190,12 +190,13 @@ def test_command_lines_read_many_files_on_two_processes(tmp_path, monkeypatch):
 
     monkeypatch.setattr(many, "MANY", 2)
     monkeypatch.setattr(many.os, "cpu_count", lambda: 4)
+    monkeypatch.setattr("questsim.cli.own_cores", lambda: 3)
     monkeypatch.setattr(many, "ProcessPoolExecutor", Pool)
     assert main(["motions", "list", str(tmp_path / "many")]) == 0
-    assert asked == [2]
+    assert asked == [3]
     shutil.rmtree(tmp_path / "cache")
     load_motions(str(tmp_path / "many"))
-    assert asked == [2]
+    assert asked == [3]
 
 
 def test_the_toes_of_a_runner_bent_forward_do_not_point_backwards():

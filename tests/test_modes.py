@@ -16,7 +16,7 @@ from questsim.modes import Modes, option_names
 COMMANDS = {
     "evaluate": (EVALUATE, {
         "--agent NAME": [], "--worlds": ["--worlds"], "--scorecard": ["--scorecard"],
-        "--compare": ["--compare"],
+        "--compare": ["--compare"], "--by-group": ["--by-group"],
     }),
     "train": (TRAIN, {"--agent policy": [], "--agent SYSTEM": ["--agent", "lgsik"]}),
 }  # fmt: skip

@@ -10,7 +10,7 @@ from own_cluster import own_cluster
 
 
 def main(folder: Path) -> None:
-    cluster = own_cluster(folder, 1)
+    cluster, (second,) = own_cluster(folder, 1, 1)
     import ray
     from test_cluster import CONFIG, trained
 
@@ -20,7 +20,6 @@ def main(folder: Path) -> None:
     from envs.config import EnvConfig
     from questsim.motion.spec import load_motions
 
-    second = cluster.add_node(num_cpus=1)
     clips = load_motions("synthetic:stand+wave")[:3]
     batch = BatchSpec(clips, EnvConfig(privileged=True, sampling="failure"), 4, seed=3)
     assert CONFIG.privileged

@@ -12,7 +12,8 @@ import torch
 from agents.comparison.options import CompareArgs
 from agents.evaluation.assisted import AssistUse
 from agents.evaluation.follow import choose_clips
-from agents.evaluation.options import EvaluateArgs, ScorecardArgs, WorldsArgs
+from agents.evaluation.groups import by_group, check_conditions, format_groups, grouped_clips
+from agents.evaluation.options import ByGroupArgs, EvaluateArgs, ScorecardArgs, WorldsArgs
 from agents.evaluation.report import evaluation_context, filmed, report
 from agents.evaluation.rollout import env_config, roll_out
 from agents.evaluation.scorecard import format_scorecard, scorecard
@@ -258,6 +259,32 @@ def evaluate_scorecard(args: ScorecardArgs) -> int:
     return 0
 
 
+def evaluate_by_group(args: ByGroupArgs) -> int:
+    """Print the table of groups and conditions; returns the exit code.
+
+    Raises:
+        InputError: the policy, the motions, a condition or the folder cannot be used.
+    """
+    at_least(1, threads=args.threads, max_clips=args.max_clips)
+    at_least(0, seed=args.seed)
+    check_conditions(args.under)
+    if args.out is not None:
+        check_writable(args.out)
+    torch.set_num_threads(args.threads)
+    agent = load_agent(args.agent)
+    config = env_config(agent)
+    clips, groups = grouped_clips(args.motions, args.seed, args.max_clips)
+    about = evaluation_context(args.agent, agent, args.motions, clips, config, args.threads)
+    with ray_map(args.workers, args.ray, args.threads) as mapper:
+        found = by_group(
+            agent, clips, groups, config, args.under, args.threads, mapper, args.out, about
+        )
+    print(format_groups(found))
+    if args.out is not None:
+        print(f"written to {args.out}")
+    return 0
+
+
 def evaluate_comparison(args: CompareArgs) -> int:
     """See ``agents.comparison.compare``; returns the exit code.
 
@@ -277,6 +304,7 @@ def evaluate_comparison(args: CompareArgs) -> int:
 _BY_FLAG = {
     "--worlds": Mode("--worlds", WorldsArgs, evaluate_worlds),
     "--scorecard": Mode("--scorecard", ScorecardArgs, evaluate_scorecard),
+    "--by-group": Mode("--by-group", ByGroupArgs, evaluate_by_group),
     "--compare": Mode("--compare", CompareArgs, evaluate_comparison),
 }
 _ONE_AGENT = Mode("--agent NAME", EvaluateArgs, evaluate)

@@ -14,6 +14,8 @@ from envs.terrain import TERRAINS
 from questsim.modes import one_of
 
 Begin = Literal["reference", "still", "standing", "estimate"]
+CONDITIONS = ("reference", "still", "standing", "noise")
+"""Conditions of ``ByGroupArgs``."""
 
 
 @dataclass(frozen=True)
@@ -106,3 +108,18 @@ class ScorecardArgs(_FollowArgs):
     """Only these trials, e.g. h2c standing noise; an unknown name lists them all."""
     extra: str | None = None
     """More motions that no stage was trained on, with a row of their own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ByGroupArgs(_FollowArgs):
+    """Count the clips that a policy completes in each group of motions, under several conditions.
+
+    Groups are the entries of a mixture file, or the kinds of motion.
+    """
+
+    agent: TorqueAgentName = DEFAULT_POLICY
+    under: tuple[str, ...] = ("reference", "standing", "noise")
+    """Conditions: begun in the user's state (reference), in the user's pose at rest (still) or
+    standing at the user's position; or with the device errors of --noise."""
+    out: Path | None = None
+    """Folder for groups.json and a report of each condition."""

@@ -14,6 +14,7 @@ import torch
 from torch import nn
 
 from agents.kinematic.learning import Learning, Task, rate_at
+from agents.kinematic.team import Descent, Nobody, Team
 from agents.policy.checkpoint import load_resume
 from agents.training.loggers import LogName, training_logger
 from agents.training.monitor import Display
@@ -38,6 +39,7 @@ class Fit:
         record: saved in the checkpoint in addition to steps and figures.
         seed: seed of all random numbers.
         log: where curves go; see ``training_logger``.
+        team: workers that share the batches; ``task`` draws this process's part.
     """
 
     name: str
@@ -50,20 +52,20 @@ class Fit:
     record: dict[str, Any]
     seed: int
     log: LogName = "tensorboard"
+    team: Team = field(default_factory=Nobody)
     steps: int = 0
     best_cm: float = math.inf
     history: list[dict[str, float]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        kind = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}[self.learning.optimiser]
-        self._optimiser = kind(self.task.trained, lr=self.learning.learning_rate)
+        self._descent = Descent(self.module, self.task, self.learning)
         self._rng = np.random.default_rng(self.seed)
 
     def resume(self) -> None:
         """Continue from the last checkpoint: steps, networks, optimiser and random states."""
         state = load_resume(self.folder / "last")
         self.module.load_state_dict(state["module"])
-        self._optimiser.load_state_dict(_int_keys(state["optimiser"]))
+        self._descent.optimiser.load_state_dict(_int_keys(state["optimiser"]))
         self._rng.bit_generator.state = _rng_state(state["random"])
         torch.set_rng_state(state["torch_random"])
         self.steps, self.budget.spent = state["steps"], state["seconds"]
@@ -81,6 +83,7 @@ class Fit:
         logger = training_logger(self.folder / "tensorboard", self.log, self.record)
         if not self.history:
             self._evaluate(logger, display)
+        self.team.sync(self._descent)
         began, count = time.perf_counter(), 0
         while not stopper.requested and budget.progress(self.steps) < 1:
             figures = self._step(budget.progress(self.steps))
@@ -92,29 +95,25 @@ class Fit:
             if self.steps % self.learning.evaluate_every == 0:
                 self._evaluate(logger, display)
                 self._save_last()
+                self.team.sync(self._descent)  # processors of other kinds round differently
         if not stopper.requested and not self._is_evaluated():
             self._evaluate(logger, display)
         self._save_last()
         logger.close()
 
     def _step(self, progress: float) -> dict[str, float]:
-        learning = self.learning
-        self.module.train()
         errors = [entry["error_cm"] for entry in self.history]
-        for group in self._optimiser.param_groups:
-            group["lr"] = rate_at(learning, progress, self.steps, errors)
-        self._optimiser.zero_grad(set_to_none=True)
-        loss, figures = self.task.loss(self.task.draw(self._rng))
+        rate = rate_at(self.learning, progress, self.steps, errors)
+        self.team.begin(self._descent, rate, self.steps)
+        loss, figures = self._descent.gradients(self._rng)
+        loss = self.team.average(self._descent, loss)
         if not bool(torch.isfinite(loss)):
             raise InputError(
                 f"loss is not finite at step {self.steps}", self.name, "lower learning_rate"
             )
-        loss.backward()
-        if learning.clip is not None:
-            nn.utils.clip_grad_norm_(self.task.trained, learning.clip)
-        self._optimiser.step()
+        self._descent.step(rate)
         self.steps += 1
-        return {"loss": float(loss.detach()), **figures}
+        return {"loss": float(loss), **figures}
 
     def _is_evaluated(self) -> bool:
         return bool(self.history) and self.history[-1]["steps"] == self.steps
@@ -164,7 +163,7 @@ class Fit:
     def _save_last(self) -> None:
         state = {
             "module": self.module.state_dict(),
-            "optimiser": self._optimiser.state_dict(),
+            "optimiser": self._descent.optimiser.state_dict(),
             "random": _plain_rng(self._rng),
             "torch_random": torch.get_rng_state(),
             "steps": self.steps,

@@ -31,6 +31,11 @@ class TrainSystemArgs:
     """A system to train further, by folder or shipped name; its family and sizes must match."""
     threads: int = 2
     """Threads for the networks."""
+    workers: int = 0
+    """Processes that share each batch: this one and Ray workers, each with --threads
+    (docs/scaling.md); 0 for this one alone."""
+    ray: str | None = None
+    """Address of a Ray cluster for --workers, by default one of this machine alone."""
     log: LogName = "tensorboard"
     """Where curves go, beside a CSV file: tensorboard, Weights & Biases, trackio, or csv for
     nowhere else."""

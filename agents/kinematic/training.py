@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from math import ceil
 from pathlib import Path
@@ -23,6 +24,7 @@ from agents.kinematic.store import (
     read_system_card,
     save_system,
 )
+from agents.kinematic.team import Nobody, RayTeam, SharedStage, Team, part_of
 from agents.overrides import with_overrides
 from agents.resolve import from_anywhere
 from agents.run_folder import (
@@ -37,11 +39,22 @@ from agents.run_folder import (
 from agents.training.hold_out import without_styles
 from agents.training.loggers import check_logger
 from agents.training.monitor import Display
+from agents.training.ray_session import ray_cluster
 from agents.training.stage import Budget, Stopper
 from questsim.errors import INTERRUPTED, InputError, at_least
 from questsim.motion.motion import Motion
 
-MAY_DIFFER_ON_RESUME = {"motions", "minutes", "steps", "resume", "threads", "out", "set", "log"}
+MAY_DIFFER_ON_RESUME = {
+    "motions",
+    "minutes",
+    "steps",
+    "resume",
+    "threads",
+    "out",
+    "set",
+    "log",
+    "ray",
+}
 
 
 def train_system(args: TrainSystemArgs) -> int:
@@ -56,6 +69,7 @@ def train_system(args: TrainSystemArgs) -> int:
     check_logger(args.log)
     at_least(1, threads=args.threads, steps=args.steps)
     at_least(0, minutes=args.minutes, seed=args.seed)
+    cluster = _cluster(args)
     if args.agent not in AGENTS:
         raise InputError(f"there is no {args.agent!r}", "--agent", f"use {', '.join(AGENTS)}")
     entry = AGENTS[args.agent]
@@ -87,11 +101,15 @@ def train_system(args: TrainSystemArgs) -> int:
             note_resume(args.out, args, config)
         begun.append(True)
 
-    with only_training(args.out), Display() as display, stopper.listening():
+    with only_training(args.out), cluster, Display() as display, stopper.listening():
         for name in config.stages:
             fit = _fit(name, args, config, module, (motions, held), banks, data)
             begin()
-            fit.run(display, stopper)
+            try:
+                fit.run(display, stopper)
+            finally:
+                if isinstance(fit.team, RayTeam):
+                    fit.team.close()
             if stopper.requested:
                 display.say(f"stopped; go on with --resume --out {args.out}")
                 return INTERRUPTED
@@ -99,6 +117,16 @@ def train_system(args: TrainSystemArgs) -> int:
             module.load_state_dict(load_module(best)[0].state_dict())
         display.say(f"trained: {find_system(args.out)}")
     return 0
+
+
+def _cluster(args: TrainSystemArgs) -> AbstractContextManager[None]:
+    """The Ray cluster of ``--workers``, if any."""
+    if args.workers == 0 and args.ray is not None:
+        raise InputError("needs --workers", "--ray", "add --workers N")
+    if args.workers == 0:
+        return nullcontext()
+    at_least(2, workers=args.workers)
+    return ray_cluster(args.ray, (args.workers - 1) * args.threads)
 
 
 def begin_with(module: nn.Module, start: Path, agent: str) -> None:
@@ -154,7 +182,12 @@ def _fit(
     seed = args.seed + 1000 * stages.index(name)
     torch.manual_seed(seed)
     entry = AGENTS[args.agent]
-    task = entry.task(module, name, learning, banks[learning.window], config.validation)
+    part = part_of(learning, max(args.workers, 1))
+    task = entry.task(module, name, part, banks[learning.window], config.validation)
+    team: Team = Nobody()
+    if args.workers:
+        about = (args.agent, config.spec, name, part, config.validation, seed, args.threads)
+        team = RayTeam(SharedStage(*about, *motions), args.workers)
     trained = stages[: stages.index(name) + 1]
 
     def save(folder: Path, training: dict[str, Any], resume: dict[str, Any] | None) -> None:
@@ -174,6 +207,7 @@ def _fit(
         record=record | {"trained": trained},
         seed=seed,
         log=args.log,
+        team=team,
     )
     if args.resume and (fit.folder / "last" / CARD_FILE).exists():
         fit.resume()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,9 @@ CLIP = 10.0
 
 MIN_STD = 0.01
 """Smallest standard deviation: keeps constant inputs (a single height) from being amplified."""
+
+OfAll = Callable[[Tensor], list[Tensor]]
+"""Gives a tensor of every worker for one's own."""
 
 PUSH_SCALE = 10.0
 """Scale in m/s^2 of the network's acceleration outputs; other outputs have scale 1."""
@@ -51,11 +54,20 @@ class RunningNorm(nn.Module):
         return ((x - self.mean) / self.var.sqrt().clamp_min(MIN_STD)).clamp_(-CLIP, CLIP)
 
     @torch.no_grad()
-    def update(self, x: Tensor) -> None:
-        """Merge the rows of ``x`` ``(n, size)`` into the statistics (Chan et al. 1979)."""
-        rows = len(x)
+    def update(self, x: Tensor, of_all: OfAll = lambda own: [own]) -> None:
+        """Merge the rows of ``x`` ``(n, size)`` into the statistics.
+
+        Args:
+            x: own rows.
+            of_all: gives the same statistics of the rows of every worker, for its own.
+        """
+        about = torch.stack(torch.var_mean(x, dim=0, unbiased=False))
+        for var, mean in of_all(about):  # all have as many rows
+            self._merge(len(x), mean, var)
+
+    def _merge(self, rows: int, mean: Tensor, var: Tensor) -> None:
+        """Merge the statistics of ``rows`` rows (Chan et al. 1979)."""
         total = self.count + rows
-        var, mean = torch.var_mean(x, dim=0, unbiased=False)
         share = (rows / total).item()
         delta = mean - self.mean
         self.mean += share * delta
@@ -104,9 +116,9 @@ class Network(nn.Module):
         with torch.autocast("cpu", torch.bfloat16, enabled=self.low_precision):
             return self.layers(inputs).float()
 
-    def update_norm(self, obs: Tensor) -> None:
-        """Merge observations ``(n, D)`` into the normaliser."""
-        self.norm.update(obs.index_select(1, self.columns))
+    def update_norm(self, obs: Tensor, of_all: OfAll = lambda own: [own]) -> None:
+        """Merge observations ``(n, D)`` into the normaliser; see ``RunningNorm.update``."""
+        self.norm.update(obs.index_select(1, self.columns), of_all)
 
 
 def _adam(parameters: Iterable[nn.Parameter], rate: float) -> torch.optim.Adam:
@@ -313,11 +325,16 @@ class TorquePolicy(ActorCriticPolicy):
         constant = 0.5 * np.log(2 * np.pi) * actions.shape[1]
         return -0.5 * (z * z).sum(1) - self.log_std.sum() - constant
 
-    def update_norm(self, obs: Tensor) -> None:
-        """Merge observations ``(n, D)`` into the normalisers of both networks."""
-        self.actor.update_norm(obs)
+    def update_norm(self, obs: Tensor, of_all: OfAll = lambda own: [own]) -> None:
+        """Merge observations ``(n, D)`` into the normalisers of both networks.
+
+        Args:
+            obs: own observations.
+            of_all: see ``RunningNorm.update``.
+        """
+        self.actor.update_norm(obs, of_all)
         if self.critic is not None:
-            self.critic.update_norm(obs)
+            self.critic.update_norm(obs, of_all)
 
     def predict_batch(self, obs: np.ndarray) -> np.ndarray:
         """Deterministic actions ``(n, 33)`` in [-1, 1] for observations ``(n, D)``."""

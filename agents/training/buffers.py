@@ -8,6 +8,8 @@ import torch
 from gymnasium import spaces
 from torch import Tensor
 
+from agents.training.peers import ALONE, Peers
+
 
 @dataclass(frozen=True)
 class Targets:
@@ -75,14 +77,15 @@ class TensorRolloutBuffer:
         """All observations ``(T * N, D)``."""
         return self.observations.flatten(0, 1)
 
-    def learning_targets(self) -> Targets:
-        """The samples of an update; advantages are normalised over the rollout."""
+    def learning_targets(self, peers: Peers = ALONE) -> Targets:
+        """The samples of an update; advantages are normalised over the rollouts of all peers."""
         advantages = self.advantages.flatten()
+        mean, std = peers.mean_and_std(advantages)
         return Targets(
             actions=self.actions.flatten(0, 1),
             means=self.means.flatten(0, 1),
             log_probs=self.log_probs.flatten(),
-            advantages=(advantages - advantages.mean()) / (advantages.std() + 1e-8),
+            advantages=(advantages - mean) / (std + 1e-8),
             returns=advantages + self.values.flatten(),
         )
 

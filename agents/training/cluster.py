@@ -7,7 +7,8 @@ bit for bit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +18,7 @@ import torch
 from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor
 
+from agents.evaluation.mapping import JobT, ResultT
 from agents.policy.networks import TorquePolicy
 from agents.run_folder import versions
 from agents.training.buffers import TensorRolloutBuffer
@@ -60,6 +62,8 @@ class ActorPool(VecEnv):
         InputError: the avatars cannot be divided equally, or a worker has other versions.
     """
 
+    worker: type[RolloutWorker] = RolloutWorker
+
     def __init__(self, batch: BatchSpec, count: int) -> None:
         import ray
 
@@ -98,7 +102,7 @@ class ActorPool(VecEnv):
         )
 
     def _make(self, k: int) -> Any:
-        actor = _actor(self._ray, self._batch)
+        actor = _actor(self._ray, self._batch, self.worker)
         return actor.remote(self._shared, self._batch.seed + SEED_STEP * k)
 
     @property
@@ -127,7 +131,12 @@ class ActorPool(VecEnv):
     def _replace(self, k: int) -> None:
         """Replace a dead or unreachable worker by a new one in its last known state."""
         self._ray.kill(self._actors[k])  # one that is only unreachable would keep its cores
-        actor = self._actors[k] = self._make(k)
+        self._actors[k] = self._make(k)
+        self._prepare(k)
+
+    def _prepare(self, k: int) -> None:
+        """Bring a new worker into the state after the last rollout."""
+        actor = self._actors[k]
         for method, args in self._ready:
             actor.call.remote(method, *args)
         if self._states[k] is not None:
@@ -164,6 +173,11 @@ class ActorPool(VecEnv):
         played: list[Played] = self._all(
             lambda actor: actor.call.remote("play", weights, episodes, steps, share)
         )
+        self._take(played, steps, after)
+        return played
+
+    def _take(self, played: list[Played], steps: int, after: AfterStep) -> None:
+        """Keep the states after a rollout and report its steps."""
         self._states = [part.state for part in played]
         if self._change is not None:  # from now on replaced workers begin with these clips
             self._change, self._shared = None, self._ray.put(self._batch)
@@ -178,7 +192,22 @@ class ActorPool(VecEnv):
             self.reward_terms = np.concatenate([part.terms[t] for part in played])
             rewards = np.concatenate([part.rewards[t] for part in played])
             after(rewards, np.concatenate([part.dones[t] for part in played]), infos)
-        return played
+
+    def map(self, function: Callable[[JobT], ResultT], jobs: Iterable[JobT]) -> Iterator[ResultT]:
+        """Like ``map``; the workers, which must be idle, take the jobs in turn."""
+        shared, waiting = self._ray.put(function), deque[tuple[int, Any, JobT]]()
+
+        def next_result() -> ResultT:
+            k, reference, job = waiting.popleft()
+            return self._result(k, reference, lambda a: a.call.remote("apply", shared, job))
+
+        for number, job in enumerate(jobs):
+            if len(waiting) == 2 * self.count:
+                yield next_result()
+            k = number % self.count
+            waiting.append((k, self._actors[k].call.remote("apply", shared, job), job))
+        while waiting:
+            yield next_result()
 
     def cpu_seconds(self) -> float:
         """CPU time of all workers so far."""
@@ -326,12 +355,12 @@ class RemoteStudentPlayer:
         """Does nothing: the pool restores the state."""
 
 
-def _actor(ray: Any, batch: BatchSpec) -> Any:
-    """The worker's class as a Ray actor that reserves the cores and memory of a batch."""
+def _actor(ray: Any, batch: BatchSpec, kind: type[RolloutWorker]) -> Any:
+    """A worker's class as a Ray actor that reserves the cores and memory of a batch."""
 
     class Worker:
         def __init__(self, batch: BatchSpec, seed: int) -> None:
-            self.worker = RolloutWorker(replace(batch, seed=seed))
+            self.worker = kind(replace(batch, seed=seed))
 
         def call(self, method: str, *args: Any) -> Any:
             return getattr(self.worker, method)(*args)

@@ -12,12 +12,13 @@ import torch
 from agents.policy.checkpoint import find_policy, find_teacher, load_policy
 from agents.policy.networks import TorquePolicy
 from agents.policy.policy_agent import PolicyAgent, check_body, new_policy
-from agents.policy.spec import Layout, noise_by_joint
-from agents.policy.stepping import start_gains
+from agents.policy.spec import Layout
 from agents.training.dagger import Dagger, DaggerConfig
 from agents.training.learner import Learner
+from agents.training.make_ppo import exploration_noise, make_ppo
 from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PPOConfig, StageConfig
+from agents.training.shared_update import LearningPool, make_shared_ppo
 from agents.training.specialists import OPTION, Teachers, load_teacher, read_specialist
 from agents.training.start_from import copy_actor, copy_head, take_critic
 from envs import QuestVecEnv
@@ -50,7 +51,7 @@ def make_learner(
     """
     if isinstance(config.learning, DaggerConfig):
         return _student(args, config, config.learning, env, seed, say)
-    learner = make_ppo(config, config.learning, env, seed, args.threads)
+    learner = _ppo(config, config.learning, env, seed, args.threads)
     if name == "teacher" and args.start is not None:
         folder = find_teacher(args.start)
         start = load_policy(folder)
@@ -60,49 +61,17 @@ def make_learner(
     if name == "finetune":
         student = args.start or args.out / "student"
         copy_actor(_policy_for(student, env), learner.policy, student)
-        noise = _noise(config.learning, env)
+        noise = exploration_noise(config.learning, env)
         learner.policy.log_std.data.copy_(torch.as_tensor(np.log(noise)))
     return learner
 
 
-def _noise(ppo: PPOConfig, env: QuestVecEnv | ActorPool) -> np.ndarray:
-    """Standard deviation of the exploration noise of each hinge."""
-    strong = env.avatar.strong
-    return noise_by_joint(strong, ppo.noise_legs_and_trunk, ppo.noise_arms_and_neck)
-
-
-def make_ppo(
-    config: StageConfig, ppo: PPOConfig, env: QuestVecEnv | ActorPool, seed: int, threads: int = 1
+def _ppo(
+    config: StageConfig, ppo: PPOConfig, env: QuestVecEnv | ActorPool, seed: int, threads: int
 ) -> AdaptivePPO:
-    """PPO with a new policy for ``env``."""
-    noise = _noise(ppo, env)
-    return AdaptivePPO(
-        TorquePolicy,
-        env,
-        desired_kl=ppo.desired_kl,
-        final_kl=ppo.final_kl,
-        reward_scale=ppo.reward_scale,
-        bfloat16=ppo.bfloat16,
-        threads=threads,
-        learning_rate=ppo.learning_rate,
-        n_steps=ppo.rollout_steps,
-        batch_size=min(ppo.minibatch, ppo.rollout_steps * env.num_envs),
-        n_epochs=ppo.epochs,
-        gamma=ppo.gamma,
-        gae_lambda=ppo.gae_lambda,
-        clip_range=ppo.clip,
-        vf_coef=1.0,
-        max_grad_norm=ppo.max_grad_norm,
-        seed=seed,
-        policy_kwargs={
-            "spec": config.policy,
-            "layout": Layout.of(env.layout),
-            "gains": start_gains(config.policy.balance, env.torque_limits, env.damping),
-            "noise": noise,
-            "learn_noise": ppo.learn_noise,
-            "critic_learning_rate": ppo.critic_learning_rate,
-        },
-    )
+    if isinstance(env, LearningPool):
+        return make_shared_ppo(config, ppo, env, seed, threads)
+    return make_ppo(config, ppo, env, seed, threads)
 
 
 def _student(

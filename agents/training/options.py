@@ -106,6 +106,9 @@ class TrainArgs:
     """Ray workers that share the simulations (docs/scaling.md); 0 for none."""
     ray: str | None = None
     """Address of a Ray cluster for --workers, by default one of this machine alone."""
+    gradients: Literal["learner", "workers"] = "learner"
+    """With --workers: where PPO's gradients are computed. By one learner from the rollouts of all
+    workers, or by each worker from its own rollout, then averaged (docs/scaling.md)."""
     log: LogName = "tensorboard"
     """Where curves go, beside a CSV file: tensorboard, Weights & Biases, trackio, or csv for
     nowhere else."""

@@ -17,6 +17,7 @@ from torch import Tensor
 from agents.policy.networks import TorquePolicy
 from agents.training.buffers import Targets, TensorRolloutBuffer
 from agents.training.learner import StepObserver, TrainingError
+from agents.training.peers import ALONE, Peers, average_gradients
 from agents.training.players import AfterStep, PolicyPlayer, Truncated
 from agents.training.workers import Workers
 
@@ -100,6 +101,8 @@ class AdaptivePPO(PPO):
         self._observer: _Observer | None = None
         self.generator = torch.Generator().manual_seed(self.seed or 0)
         self._workers = Workers(threads)
+        self.actor_peers: Peers = ALONE
+        self.critic_peers: Peers = ALONE
         # Workers elsewhere bring a player of their own.
         player = getattr(env, "policy_player", partial(PolicyPlayer, env))
         self.player = cast(Player, player(self.seed or 0, self._workers))
@@ -159,7 +162,7 @@ class AdaptivePPO(PPO):
         first = self.policy.actor.norm.count.item() == 0
         if not first:
             self._optimise()
-        self.policy.update_norm(self.rollout_buffer.flat_observations())
+        self.policy.update_norm(self.rollout_buffer.flat_observations(), self.actor_peers.each)
 
     def _optimise(self) -> None:
         """Train actor and critic on the rollout, each in its own thread.
@@ -169,12 +172,13 @@ class AdaptivePPO(PPO):
         """
         policy, record = self.policy, self.logger.record
         policy.set_training_mode(True)
-        targets = self.rollout_buffer.learning_targets()
+        targets = self.rollout_buffer.learning_targets(self.actor_peers)
         orders = self.rollout_buffer.orders(self.batch_size, self.n_epochs, self.generator)
         value_loss, figures = self._workers.run(
             partial(self._learn_values, targets, orders),
             partial(self._learn_actions, targets, orders),
         )
+        figures = self.actor_peers.mean(torch.tensor(figures, dtype=torch.float64)).tolist()
         self._n_updates += self.n_epochs
         if not self.actor_frozen:
             # Scaled to all steps: those of the next update are as long.
@@ -182,7 +186,8 @@ class AdaptivePPO(PPO):
         names = ("policy_loss", "kl", "clip_fraction", "steps_made")
         for name, figure in zip(names, figures, strict=True):
             record(f"train/{name}", figure)
-        record("train/value_loss", value_loss[0])
+        value_loss = self.critic_peers.mean(torch.tensor(value_loss, dtype=torch.float64))
+        record("train/value_loss", value_loss.item())
         record("train/learning_rate", self.actor_rate)
         record("train/noise", policy.log_std.detach().exp().mean().item())
 
@@ -206,11 +211,12 @@ class AdaptivePPO(PPO):
         for i, rows in enumerate(orders):
             mean = policy.action_mean_of(*(part[rows] for part in parts))
             with torch.no_grad():
-                kl = _gaussian_kl(targets.means[rows], old_log_std, mean, policy.log_std).item()
+                kl = _gaussian_kl(targets.means[rows], old_log_std, mean, policy.log_std)
+                kl = self.actor_peers.mean(kl).item()
             if i and self.desired_kl is not None and kl > SPENT * self.desired_kl:
                 return total.item() / i, kl, _clipped(recent), i / len(orders)
             loss, clipped = self._surrogate(mean, rows, targets, clip)
-            self._descend(loss, policy.optimizer)
+            self._descend(loss, policy.optimizer, self.actor_peers)
             total += loss.detach()
             recent = [*recent, (kl, clipped.item())][-per_epoch:]
         kl = sum(kl for kl, _ in recent) / len(recent)
@@ -245,10 +251,11 @@ class AdaptivePPO(PPO):
         optimizer.param_groups[0]["lr"] = self.actor_rate
         old = policy.action_mean_of(*chosen)
         old_mean, old_log_std = old.detach(), policy.log_std.detach().clone()
-        self._descend(self._surrogate(old, rows, targets, 1.0)[0], optimizer)
+        self._descend(self._surrogate(old, rows, targets, 1.0)[0], optimizer, self.actor_peers)
         with torch.no_grad():
             new = policy.action_mean_of(*chosen)
-            kl = _gaussian_kl(old_mean, old_log_std, new, policy.log_std).item()
+            kl = _gaussian_kl(old_mean, old_log_std, new, policy.log_std)
+            kl = self.actor_peers.mean(kl).item()
             for parameter, value in zip(policy.actor_parameters(), before, strict=True):
                 parameter.copy_(value)
         optimizer.load_state_dict(memory)
@@ -270,12 +277,12 @@ class AdaptivePPO(PPO):
         for rows in orders:
             values = critic.of_inputs(inputs[rows]).squeeze(1)
             loss = (values - targets.returns[rows]).square().mean()
-            self._descend(loss, optimizer)
+            self._descend(loss, optimizer, self.critic_peers)
             total += loss.detach()
         return (total.item() / len(orders),)
 
-    def _descend(self, loss: Tensor, optimizer: torch.optim.Optimizer) -> None:
-        """One gradient step.
+    def _descend(self, loss: Tensor, optimizer: torch.optim.Optimizer, peers: Peers) -> None:
+        """One gradient step, along the mean gradient of all workers that share the update.
 
         Raises:
             TrainingError: the loss is not finite; nothing was changed.
@@ -284,7 +291,9 @@ class AdaptivePPO(PPO):
             raise TrainingError("the loss is not finite", self.num_timesteps)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(optimizer.param_groups[0]["params"], self.max_grad_norm)
+        parameters = optimizer.param_groups[0]["params"]
+        average_gradients(peers, parameters)
+        torch.nn.utils.clip_grad_norm_(parameters, self.max_grad_norm)
         optimizer.step()
 
     def iterate(self, observe: StepObserver, progress: float) -> dict[str, float]:
@@ -317,28 +326,38 @@ class AdaptivePPO(PPO):
 
     def state_dict(self) -> dict[str, Any]:
         """State for resuming, as plain values and tensors."""
+        return self.update_state() | {
+            "steps": self.num_timesteps,
+            "generator": self.generator.get_state(),
+            "player": self.player.get_state(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from ``state_dict``."""
+        self.num_timesteps = state["steps"]
+        self.load_update_state(state)
+        self.generator.set_state(state["generator"])
+        self.player.set_state(state["player"])
+
+    def update_state(self) -> dict[str, Any]:
+        """The part of the state that an update changes, apart from the order of the samples."""
         critic = self.policy.critic_optimizer
         return {
-            "steps": self.num_timesteps,
             "policy": self.policy.state_dict(),
             "optimizer": self.policy.optimizer.state_dict(),
             "critic_optimizer": critic.state_dict() if critic is not None else {},
-            "generator": self.generator.get_state(),
-            "player": self.player.get_state(),
             "actor_rate": self.actor_rate,
             "rate_is_measured": self._rate_is_measured,
             "updates": self._n_updates,
         }
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from ``state_dict``."""
-        self.num_timesteps, self._n_updates = state["steps"], state["updates"]
+    def load_update_state(self, state: dict[str, Any]) -> None:
+        """Take over an ``update_state``."""
+        self._n_updates = state["updates"]
         self.policy.load_state_dict(state["policy"])
         self.policy.optimizer.load_state_dict(state["optimizer"])
         if self.policy.critic_optimizer is not None:
             self.policy.critic_optimizer.load_state_dict(state["critic_optimizer"])
-        self.generator.set_state(state["generator"])
-        self.player.set_state(state["player"])
         self.actor_rate = state["actor_rate"]
         self._rate_is_measured = state.get("rate_is_measured", True)
 

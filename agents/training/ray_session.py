@@ -14,6 +14,7 @@ import torch
 
 from agents.evaluation.mapping import Mapper
 from agents.run_folder import versions
+from agents.training.peers import PeerLostError
 from questsim.errors import InputError
 from questsim.extensions import load_extensions
 
@@ -23,6 +24,12 @@ RETRIES = 3
 """Attempts after the first one of a job whose process or node died."""
 STARTS = 3
 """Attempts to start Ray on this machine."""
+PATIENCE = {
+    "RAY_agent_register_timeout_ms": "300000",
+    "RAY_worker_register_timeout_seconds": "300",
+}
+"""Ray's limits for the start of its processes. By default a node ends when its agent takes longer
+than 30 s to start, as it does beside other programs on few cores."""
 CHECK_S = 5.0
 """While waiting for results, the head is asked this often whether it still answers."""
 CHECKS = 5
@@ -50,6 +57,8 @@ def ray_cluster(address: str | None, cores: int) -> Iterator[None]:
         os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
         # Ray's default, 15, starves the workers beside other programs while the learner waits.
         os.environ.setdefault("RAY_worker_niceness", "0")
+        for name, value in PATIENCE.items():
+            os.environ.setdefault(name, value)
     else:
         os.environ.setdefault("RAY_AUTH_MODE", "token")
     try:
@@ -127,6 +136,34 @@ def result(reference: Any) -> Any:
             raise
 
 
+def first_error(references: list[Any]) -> list[Any]:
+    """Results of calls that wait for one another.
+
+    Raises:
+        PeerLostError: one of them lost its process or another one.
+        HeadLostError: the head does not answer any more.
+        InputError: a call itself raised it.
+    """
+    import ray
+    from ray import exceptions as errors
+
+    waiting = references
+    while waiting:
+        done, waiting = ray.wait(waiting, timeout=CHECK_S)
+        if not done:
+            check_head()
+        for reference in done:
+            try:
+                result(reference)
+            except (errors.RayActorError, errors.ObjectLostError, errors.OwnerDiedError) as error:
+                raise PeerLostError(str(error)) from error
+            except errors.RayTaskError as error:
+                if isinstance(error.cause, PeerLostError):
+                    raise PeerLostError(str(error.cause)) from error
+                raise
+    return [result(reference) for reference in references]
+
+
 def check_head() -> None:
     """Do nothing as long as the head lives.
 
@@ -151,6 +188,13 @@ def head_answers() -> bool:
     except OSError:
         return False
     return True
+
+
+def on_one_machine() -> bool:
+    """Whether the cluster is of this machine alone and listens on loopback."""
+    import ray
+
+    return all(node["NodeManagerAddress"] == "127.0.0.1" for node in ray.nodes())
 
 
 # -- work that is independent clip by clip -----------------------------------------------------

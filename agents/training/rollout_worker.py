@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -124,6 +124,10 @@ class RolloutWorker:
             "versions": versions(),
         }
 
+    def apply(self, function: Callable[[Any], Any], job: Any) -> Any:
+        """Call a function; for work between rollouts."""
+        return function(job)
+
     def pid(self) -> int:
         """Process id of the worker."""
         return os.getpid()
@@ -168,7 +172,7 @@ class RolloutWorker:
         assert self._player is not None
         load_weights(self._policy, weights)
         self._merge(episodes)
-        kept = _Kept(self.env)
+        kept = Kept(self.env)
         truncated: Truncated = []
         if isinstance(self._player, PolicyPlayer):
             buffer = self._buffer_of(steps)
@@ -177,6 +181,10 @@ class RolloutWorker:
         else:
             visited, labels = self._player.play(steps, share, kept.after)
             arrays = {"visited": visited.numpy(), "labels": labels.numpy()}
+        return self._played(kept, arrays, truncated)
+
+    def _played(self, kept: Kept, arrays: dict[str, np.ndarray], truncated: Truncated) -> Played:
+        assert self._player is not None
         sampler, observation = self.env.sim.sampler, self._player.observation
         assert observation is not None
         ended, sampler.log = sampler.log, []
@@ -232,7 +240,7 @@ class RolloutWorker:
             self._player.observation = None  # the restored episodes continue
 
 
-class _Kept:
+class Kept:
     """Figures of each step for the learner's monitor."""
 
     def __init__(self, env: QuestVecEnv) -> None:

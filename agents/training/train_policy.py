@@ -38,8 +38,9 @@ from agents.training.monitor import Display
 from agents.training.options import TrainArgs
 from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PRESETS, PPOConfig, Preset, StageConfig, shown_estimates
-from agents.training.ray_session import ray_cluster, ray_runs
+from agents.training.ray_session import ray_cluster, ray_map, ray_runs
 from agents.training.rollout_worker import BatchSpec
+from agents.training.shared_update import LearningPool, announce
 from agents.training.specialists import needs_of_teachers, read_specialist
 from agents.training.stage import Budget, Stage, Stopper
 from agents.training.start_estimates import start_estimates
@@ -163,6 +164,12 @@ def _refuse_unused(args: TrainArgs) -> None:
         if value and not users[option] & set(names):
             stage = f"--stage {args.stage}" if args.stage != "all" else f"--preset {args.preset}"
             raise InputError(f"does not go with {stage}", f"--{option}", "leave it out")
+    learning = [PRESETS[args.preset].stages[name].learning for name in names]
+    if args.gradients == "workers" and not args.workers:
+        raise InputError("needs --workers", "--gradients workers", "add --workers N")
+    if args.gradients == "workers" and not any(isinstance(each, PPOConfig) for each in learning):
+        fix = "leave it out: DAgger has one learner, whose work does not grow with the avatars"
+        raise InputError("none of the stages learns by PPO", "--gradients workers", fix)
     if args.specialists and args.workers:
         raise InputError("does not go with --workers", "--specialists", "leave one out")
 
@@ -280,11 +287,14 @@ def _run_stage(
     count = preset.num_envs if args.envs is None else args.envs
     fresh = FreshMotions(learnt, args.vary, args.redraw or REDRAW_STEPS, seed)
     draw = fresh.last(args.out / name / "last") if args.resume else 0
-    clips, shown = fresh.at(draw), training.seen(learnt)
+    with ray_map(args.workers if args.vary else 0, args.ray if args.vary else None) as mapper:
+        clips, shown = fresh.at(draw, mapper), training.seen(learnt)
     batch = BatchSpec(
         clips, env_config, count, seed + draw, args.threads, shown, training.begin_at
     )  # fmt: skip
-    env = batch.make() if args.workers == 0 else ActorPool(batch, args.workers)
+    shares = args.gradients == "workers" and isinstance(config.learning, PPOConfig)
+    pool = LearningPool if shares else ActorPool
+    env = batch.make() if args.workers == 0 else pool(batch, args.workers)
     first = from_first_frames(env_config)
     sim = evaluation_sim(validation, first, args.threads, shown=training.seen(validation))
 
@@ -295,6 +305,8 @@ def _run_stage(
     record = {"preset": args.preset, "seed": args.seed, "threads": args.threads, **training.data}
     try:
         learner = make_learner(name, args, config, env, seed, display.say)
+        if isinstance(env, LearningPool) and isinstance(config.learning, PPOConfig):
+            display.say(announce(config.learning, env))
         stage = Stage(
             name=name,
             learner=learner,
@@ -311,7 +323,8 @@ def _run_stage(
             settings=plain(config),
         )
         if args.vary:
-            redraw = redrawing(fresh, env, learner, draw, stage.beside)
+            mapper = env.map if isinstance(env, ActorPool) else map
+            redraw = redrawing(fresh, env, learner, draw, stage.beside, mapper)
             stage.before_iteration = _both(stage.before_iteration, redraw)
         resumes = args.resume and (stage.folder / "last" / CARD_FILE).exists()
         if resumes and (notice := stage.resume()) is not None:

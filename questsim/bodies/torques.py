@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from scipy.optimize import nnls
+import scipy  # it imports its parts on first use
 
 from questsim.bodies.body_map import BodyMap, OwnBody, map_of
 from questsim.motion.clip import FPS, Clip
@@ -72,5 +72,5 @@ def _from_floor(
     flat = edges.reshape(-1, model.nv)
     root = flat[:, :6].T * ROOT_WEIGHTS[:, None]
     wanted = np.concatenate([force[:6] * ROOT_WEIGHTS, np.zeros(len(flat))])
-    factors, _ = nnls(np.vstack([root, SPREAD * np.eye(len(flat))]), wanted)
+    factors, _ = scipy.optimize.nnls(np.vstack([root, SPREAD * np.eye(len(flat))]), wanted)
     return flat.T @ factors

@@ -15,7 +15,7 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import urlparse
 from urllib.request import url2pathname
 
-import pooch
+import platformdirs
 
 from questsim.errors import InputError
 from questsim.files import whole_file
@@ -121,7 +121,7 @@ def _data(name: str) -> Path:
 
 def cache_dir() -> Path:
     """Folder of downloads and retargeted clips: ``QUESTSIM_CACHE`` or the platform's cache."""
-    return Path(os.environ.get("QUESTSIM_CACHE") or pooch.os_cache("questsim"))
+    return Path(os.environ.get("QUESTSIM_CACHE") or platformdirs.user_cache_dir("questsim"))
 
 
 @lru_cache
@@ -236,6 +236,8 @@ def _archive(dataset: Dataset, mirror: str | None) -> tuple[Path, bool]:
         if not Path(url).is_file():
             raise InputError("no such mirror file", url)
         return Path(url), False
+    import pooch  # late: it imports what downloads over the network need
+
     folder = cache_dir() / "downloads"
     # Each mirror has its own file name, so that partial downloads are not mixed up.
     file = f"{dataset.name}-{hashlib.sha256(url.encode()).hexdigest()[:12]}.zip"

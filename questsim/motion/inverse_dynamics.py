@@ -9,7 +9,7 @@ from contextlib import suppress
 
 import mujoco
 import numpy as np
-from scipy.optimize import nnls
+import scipy  # it imports its parts on first use
 
 from questsim.assets import mjcf_path
 from questsim.body import DEFAULT_HEIGHT_M, build_body
@@ -105,7 +105,7 @@ class InverseDynamics:
             edges = np.concatenate(jacobians)
             root = edges[:, :6].T * ROOT_WEIGHTS[:, None]
             wanted = np.concatenate([force[:6] * ROOT_WEIGHTS, np.zeros(len(edges))])
-            factors, _ = nnls(np.vstack([root, SPREAD * np.eye(len(edges))]), wanted)
+            factors, _ = scipy.optimize.nnls(np.vstack([root, SPREAD * np.eye(len(edges))]), wanted)
             force -= edges.T @ factors
         return force
 

@@ -11,7 +11,7 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy  # it imports its parts on first use
 
 from questsim.body import build_body
 from questsim.motion.kinematics import link_offsets, sole_points
@@ -173,7 +173,7 @@ def _motion_at(s: Stance, time: float, step: float) -> np.ndarray:
 
 def _shaped(
     scale: float,
-    curve: CubicSpline,
+    curve: scipy.interpolate.CubicSpline,
     leave: np.ndarray,
     arrive: np.ndarray,
     span: float,

@@ -24,9 +24,10 @@ Froude number; Alexander 1989), so that people of all heights share one relation
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy  # it imports its parts on first use
 
 GRAVITY = 9.81
 """m/s^2, MuJoCo's default."""
@@ -43,10 +44,10 @@ _JOG = {
 }
 
 
-def _periodic(points: dict[int, int]) -> CubicSpline:
+def _periodic(points: dict[int, int]) -> scipy.interpolate.CubicSpline:
     percent = np.array([*points, 100.0]) / 100.0
     degrees = np.array([*points.values(), points[0]], float)
-    return CubicSpline(percent, np.deg2rad(degrees), bc_type="periodic")
+    return scipy.interpolate.CubicSpline(percent, np.deg2rad(degrees), bc_type="periodic")
 
 
 @dataclass(frozen=True)
@@ -58,10 +59,11 @@ class SwingShape:
         pitch: of the foot in radians, heel up is positive.
     """
 
-    height: CubicSpline
-    pitch: CubicSpline
+    height: scipy.interpolate.CubicSpline
+    pitch: scipy.interpolate.CubicSpline
 
 
+@lru_cache(maxsize=2)
 def swing_shape(jog: bool) -> SwingShape:
     """The swing that the normative thigh, knee and ankle angles describe."""
     curves = _JOG if jog else _WALK
@@ -71,7 +73,10 @@ def swing_shape(jog: bool) -> SwingShape:
     thigh, knee, ankle = (_periodic(curves[name])(stride) for name in ("thigh", "knee", "ankle"))
     # Thigh and shank of the avatar have the same length within 0.2 %.
     height = -0.5 * (np.cos(thigh) + np.cos(thigh - knee))
-    return SwingShape(CubicSpline(share, height), CubicSpline(share, knee - thigh - ankle))
+    return SwingShape(
+        scipy.interpolate.CubicSpline(share, height),
+        scipy.interpolate.CubicSpline(share, knee - thigh - ankle),
+    )
 
 
 @dataclass(frozen=True)

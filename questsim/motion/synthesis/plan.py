@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
+import scipy  # it imports its parts on first use
 
 from questsim.motion.synthesis.gait_curves import Gait
 
@@ -64,11 +64,11 @@ class Path:
     position: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        heading = cumulative_trapezoid(self.turn_rate, self.time, initial=0.0)
+        heading = scipy.integrate.cumulative_trapezoid(self.turn_rate, self.time, initial=0.0)
         cos, sin = np.cos(heading), np.sin(heading)
         forward, left = self.velocity.T
         world = np.stack([cos * forward - sin * left, sin * forward + cos * left], axis=-1)
-        position = cumulative_trapezoid(world, self.time, axis=0, initial=0.0)
+        position = scipy.integrate.cumulative_trapezoid(world, self.time, axis=0, initial=0.0)
         # The clip's first frame, at time zero, lies at the origin and faces +x.
         start = np.searchsorted(self.time, -1e-9)
         turn = -heading[start]
@@ -137,7 +137,7 @@ def plan_steps(
 def _phase(path: Path, gait: Gait, start: float | None) -> np.ndarray:
     """Strides since the left foot's touch-down; slower steps at lower speed (Grieve 1968)."""
     rate = np.maximum(path.amount(), 0.6) ** 0.58 / gait.stride_s
-    phase = cumulative_trapezoid(rate, path.time, initial=0.0)
+    phase = scipy.integrate.cumulative_trapezoid(rate, path.time, initial=0.0)
     if start is None:
         return phase - np.interp(0.0, path.time, phase)
     # At the start the right foot, which came down half a stride before zero, lifts.
