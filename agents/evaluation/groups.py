@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -66,7 +67,9 @@ def grouped_clips(motions: str, seed: int, most: int | None) -> tuple[list[Clip]
         loaded = [(entry, clip) for entry, members in entries for clip in members]
         names = unique_names([clip.name for _, clip in loaded], [place(e) for e, _ in loaded])
         clips = [named(clip, name) for (_, clip), name in zip(loaded, names, strict=True)]
-        groups = {name: entry for (entry, _), name in zip(loaded, names, strict=True)}
+        beside = f"{Path(motions).parent}{os.sep}"  # entries are relative to the mixture file
+        labels = [entry.removeprefix(beside) for entry, _ in loaded]
+        groups = dict(zip(names, labels, strict=True))
     else:
         clips = load(motions, seed)
         groups = {clip.name: clip.kind for clip in clips}
