@@ -225,18 +225,27 @@ def check_same_run(
     Raises:
         InputError: names the option that differs.
     """
-    defaults = plain({option.name: default_of(option) for option in fields(args)})
-    for name, value in plain(args).items():
-        # Records older than an option lack it.
-        before = record["args"].get(name, defaults[name])
-        if isinstance(before, dict) and isinstance(defaults[name], dict):
-            before = defaults[name] | before
-        if name not in may_differ and value != before:
-            option = "--" + name.replace("_", "-")
-            raise InputError(f"{option} was {before}, not {value}", out / RECORD, "use it again")
+    # Records older than an option lack it.
+    defaults = _by_option(plain({option.name: default_of(option) for option in fields(args)}))
+    before = defaults | _by_option(record["args"])
+    for name, value in _by_option(plain(args)).items():
+        if name.partition(".")[0] not in may_differ and value != before.get(name):
+            what = f"--{name.replace('_', '-')} was {before.get(name)}, not {value}"
+            raise InputError(what, out / RECORD, "use it again")
     if record["data"]["sha256"] != data["sha256"]:
         what = "the motions differ from those at the start of this run"
         raise InputError(what, out / RECORD, "name the same motions, or another --out")
+
+
+def _by_option(args: dict[str, Any]) -> dict[str, Any]:
+    """Values by the names of their options: ``starts.standing`` is a part of ``starts``."""
+    found: dict[str, Any] = {}
+    for name, value in args.items():
+        parts = value if isinstance(value, dict) else {}
+        found |= {f"{name}.{part}": part_value for part, part_value in parts.items()}
+        if not parts:
+            found[name] = value
+    return found
 
 
 def default_of(option: Field[Any]) -> Any:

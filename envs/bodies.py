@@ -12,7 +12,7 @@ from envs.config import EnvConfig
 from envs.episode_random import within
 from envs.randomisation import Randomisation, varied_models
 from envs.world import build_world
-from questsim.body import Body
+from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M, Body
 from questsim.body_proportions import PARTS, Proportions, drawn_proportions
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
@@ -62,7 +62,8 @@ class Bodies:
         heights, user_heights: ``(n,)`` stature in metres of each avatar and of its user.
 
     Raises:
-        InputError: there are more different proportions than simulations.
+        InputError: there are more different proportions than simulations, or ``unscaled_m`` leads
+            to statures that our body does not have.
     """
 
     def __init__(
@@ -90,6 +91,9 @@ class Bodies:
         taller = config.unscaled_m + _drawn_differences(config.randomisation, count, seed)
         self.heights = self._spread(config, heights, taller)
         self.user_heights = self.heights - taller
+        if taller.any():
+            _check_heights("avatars", self.heights)
+            _check_heights("users", self.user_heights)
 
     @property
     def differ(self) -> bool:
@@ -138,6 +142,18 @@ def _drawn_differences(randomisation: Randomisation | None, count: int, seed: in
         return np.zeros(count)
     numbers = np.random.default_rng([seed, 14]).random(count)
     return np.round(within(numbers, randomisation.unscaled_m), 2)
+
+
+def _check_heights(whose: str, heights: np.ndarray) -> None:
+    """Refuse statures that our body does not have."""
+    low, high = heights.min(), heights.max()
+    if not MIN_HEIGHT_M <= low <= high <= MAX_HEIGHT_M:
+        raise InputError(
+            f"the {whose} would be {low:.2f} to {high:.2f} m tall, which is not within "
+            f"{MIN_HEIGHT_M} to {MAX_HEIGHT_M} m",
+            "unscaled_m",
+            "give smaller differences, or other heights",
+        )
 
 
 def models_of(

@@ -87,6 +87,9 @@ def test_differences_of_stature_are_drawn_for_each_simulation() -> None:
     np.testing.assert_allclose(sim.user_heights, CLIPS[0].height_m)
     with pytest.raises(InputError, match=r"unscaled_m .*-0.4"):
         Randomisation(unscaled_m=(-0.5, 0.0))
+    small = EnvConfig(randomisation=drawn, heights=(1.2, 1.3))
+    with pytest.raises(InputError, match=r"unscaled_m: the users would be 1\.1"):
+        BatchSim(CLIPS[:1], small, num_envs=40, seed=3)
     with pytest.raises(InputError, match="one size"):
         EnvConfig(randomisation=drawn, body=read_body("gymnasium-humanoid"))
 

@@ -134,5 +134,7 @@ def test_a_run_recorded_before_an_option_existed_can_be_resumed(tmp_path) -> Non
     old = {"args": {"randomisation": {"friction": [1.0, 1.0]}}, "data": {"sha256": "x"}}
     check_same_run(old, args, {"sha256": "x"}, {"out"}, tmp_path)
     old["args"]["randomisation"] = {"friction": [0.5, 1.0]}
-    with pytest.raises(InputError, match="--randomisation was"):
+    with pytest.raises(
+        InputError, match=r"--randomisation.friction was \[0.5, 1.0\], not \[1.0, 1.0\]"
+    ):
         check_same_run(old, args, {"sha256": "x"}, {"out"}, tmp_path)

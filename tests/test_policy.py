@@ -23,6 +23,7 @@ from agents.policy.spec import (
     noise_by_joint,
 )
 from envs.avatar import avatar_of
+from envs.config import EnvConfig
 from questsim.errors import InputError
 from questsim.skeleton import DOFS, NUM_DOFS
 
@@ -212,6 +213,20 @@ def test_another_observation_or_body_is_refused_by_name(env):
     other.layout["joint_velocities"] = slice(0, 33)
     with pytest.raises(InputError, match="another place in"):
         agent.bind(other)
+
+
+def test_other_devices_frames_or_proportions_of_the_same_size_are_refused(env):
+    agent = PolicyAgent(policy_for(env, SPARSE), Needs(future_frames=0), "walker")
+    env.config = EnvConfig(sensors="3T", future_frames=0)  # the same devices by another name
+    agent.bind(env)
+    env.config = EnvConfig(future_frames=1)
+    with pytest.raises(InputError, match=r"walker: observes H\+2C with 0 .* not H\+2C with 1"):
+        agent.bind(env)
+    env.config = EnvConfig(future_frames=0, observe_proportions=True)
+    with pytest.raises(InputError, match="turn observe_proportions off"):
+        agent.bind(env)
+    with pytest.raises(InputError, match="cannot read 'o_teacher'"):
+        PolicySpec(("o_sim", "o_teacher"))
 
 
 def test_body_of_another_preset_is_refused(env):

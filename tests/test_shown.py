@@ -173,6 +173,7 @@ def test_truths_are_as_tall_as_what_is_estimated_of_their_recordings(
     [
         ({"stage": "teacher", "teacher": None}, "--estimates: does not go with --stage teacher"),
         ({"mirrored": True}, "--estimates: does not go with --mirrored"),
+        ({"sensors": "H"}, "--estimates: does not go with --sensors"),
     ],
 )
 def test_who_has_no_use_for_estimates_is_told(options, message, library, tmp_path) -> None:

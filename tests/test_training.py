@@ -324,6 +324,10 @@ def test_run_folders_that_do_not_fit_are_refused(clips, tmp_path):
         train(tiny(out, resume=True))
     with pytest.raises(InputError, match="has no stage 'ppo'"):
         train(tiny(out, stage="ppo"))
+    with pytest.raises(InputError, match="--teacher: does not go with --stage all"):
+        train(tiny(out, teacher=Path("tracker")))
+    with pytest.raises(InputError, match="has no teacher of its own; give --teacher"):
+        train(tiny(out, stage="student"))
     assert not out.exists()
     train(tiny(out, stage="teacher", steps=128))
     with pytest.raises(InputError, match="holds a run already"):

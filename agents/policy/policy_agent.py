@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
@@ -15,7 +15,11 @@ from agents.policy.stepping import start_gains
 from questsim.bodies import OwnBody
 from questsim.body import build_body
 from questsim.errors import InputError
+from questsim.sensors import sensor_set
 from questsim.skeleton import NUM_DOFS
+
+if TYPE_CHECKING:
+    from envs.config import EnvConfig
 
 
 class PolicyAgent:
@@ -43,6 +47,8 @@ class PolicyAgent:
         """Take the columns of the policy's inputs from ``env.layout``; see ``Agent.bind``."""
         config, layout = getattr(env, "config", None), Layout.of(self.blocks(env.layout))
         check_body(self.name, self.needs.body, getattr(config, "body", None))
+        if config is not None:
+            self._check_observes(config)
         layout.check_provides(self.policy.layout, self.name)
         preset = getattr(config, "body_preset", self.needs.body_preset)
         if preset != self.needs.body_preset:
@@ -56,6 +62,33 @@ class PolicyAgent:
     def blocks(self, layout: dict[str, slice]) -> dict[str, slice]:
         """The blocks of an environment's observation, by the names under which it reads them."""
         return layout
+
+    def devices(self, config: EnvConfig) -> tuple[str, int]:
+        """Sensor set and number of future frames of an environment's block that it reads."""
+        return config.sensors, config.future_frames
+
+    def _check_observes(self, config: EnvConfig) -> None:
+        """Refuse devices, frames or proportions that it was not trained with.
+
+        Different ones can have the same number of columns: two future frames of three devices and
+        six of one, or the present frame and the next one.
+        """
+        reads, needs = self.policy.layout.blocks, self.needs
+        sensors, frames = self.devices(config)
+        other = sensor_set(sensors) != sensor_set(needs.sensors) or frames != needs.future_frames
+        if other and "o_user" in reads:
+            raise InputError(
+                f"observes {needs.sensors} with {needs.future_frames} future frames, not {sensors} "
+                f"with {frames}",
+                self.name,
+                "use the sensors and number of future frames it was trained with",
+            )
+        if needs.observe_proportions != config.observe_proportions and "o_scale" in reads:
+            does, fix = (
+                ("observes", "on") if needs.observe_proportions else ("does not observe", "off")
+            )
+            what = f"{does} the avatar's proportions"
+            raise InputError(what, self.name, f"turn observe_proportions {fix}")
 
     def reset(self, n: int) -> None:
         """Does nothing: the policy has no state."""

@@ -66,6 +66,9 @@ class PolicySpec:
             raise InputError(f"balance is {self.balance!r}, not one of {BALANCE}", "PolicySpec")
         if self.balance != "none" and not self.torque_head:
             raise InputError("balance is a term of the torque head", "PolicySpec", "add the head")
+        if "o_teacher" in (*self.actor_blocks, *self.critic_blocks):
+            what = "a policy cannot read 'o_teacher', which only its training has, for the teacher"
+            raise InputError(what, "PolicySpec", "use 'o_user'")
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,9 @@ from agents.agent import Needs
 from agents.evaluation.follow import evaluation_sim, follow, from_first_frames
 from agents.policy.checkpoint import find_teacher, load_policy
 from agents.policy.policy_agent import PolicyAgent
-from agents.resolve import from_anywhere
+from agents.resolve import from_anywhere, policy_folder
 from envs import QuestVecEnv
+from envs.config import EnvConfig
 from questsim.errors import InputError
 from questsim.sensors import sensor_set
 
@@ -98,6 +99,10 @@ class _OfOtherDevices(PolicyAgent):
     def blocks(self, layout: dict[str, slice]) -> dict[str, slice]:
         return {**layout, "o_user": layout["o_teacher"]}
 
+    def devices(self, config: EnvConfig) -> tuple[str, int]:
+        assert config.teacher_devices is not None
+        return config.teacher_devices
+
 
 def needs_of_teachers(args: TrainArgs) -> list[Needs]:
     """What a student's teachers observe.
@@ -107,7 +112,10 @@ def needs_of_teachers(args: TrainArgs) -> list[Needs]:
     """
     folders = [read_specialist(text).where for text in args.specialists]
     if args.teacher is not None:
-        folders.append(args.teacher)
+        folders.insert(0, args.teacher)
+    elif policy_folder(args.out / "teacher") is None:
+        fix = "give --teacher, or train one there with --stage teacher"
+        raise InputError("has no teacher of its own", f"--stage student in {args.out}", fix)
     needs = [load_policy(find_teacher(folder)).needs for folder in folders]
     # Without --teacher it is the run's own.
     return needs if args.teacher is not None else [*needs, Needs(privileged=True)]

@@ -170,6 +170,9 @@ def _refuse_unused(args: TrainArgs) -> None:
     if args.gradients == "workers" and not any(isinstance(each, PPOConfig) for each in learning):
         fix = "leave it out: DAgger has one learner, whose work does not grow with the avatars"
         raise InputError("none of the stages learns by PPO", "--gradients workers", fix)
+    if args.teacher and "teacher" in names:
+        what = "does not go with --stage all, whose student learns from the teacher trained before"
+        raise InputError(what, "--teacher", "add --stage student")
     if args.specialists and args.workers:
         raise InputError("does not go with --workers", "--specialists", "leave one out")
 

@@ -46,10 +46,16 @@ def estimate_pairs(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
     if args.stage not in ("student", "finetune"):
         fix = "add --stage student or finetune"
         raise InputError(f"does not go with --stage {args.stage}", "--estimates", fix)
-    if args.vary:
-        raise InputError("does not go with --vary", "--estimates", "leave out --vary")
-    if args.mirrored:
-        raise InputError("does not go with --mirrored", "--estimates", "leave out --mirrored")
+    others = {
+        "--vary": args.vary,
+        "--mirrored": args.mirrored,
+        # The policy observes the estimated bodies, and no devices.
+        "--sensors": args.sensors != TrainArgs.sensors,
+        "--future-frames": args.future_frames != TrainArgs.future_frames,
+    }
+    for option, given in others.items():
+        if given:
+            raise InputError(f"does not go with {option}", "--estimates", f"leave out {option}")
     known = {clip.name: clip for clip in clips}
     pairs: Pairs = {}
     for estimate in load_motions(args.estimates, seed=args.seed):
