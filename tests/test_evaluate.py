@@ -127,7 +127,7 @@ def test_unknown_environment_lists_the_known_ones():
 
 def test_agent_for_controllers_is_refused_where_there_are_none(clips):
     agent = sparse_agent("H+2C")
-    with pytest.raises(InputError, match="'o_user'"):
+    with pytest.raises(InputError, match=r"observes H\+2C with 6 future frames, not H with 6"):
         roll_out(agent, clips, env_config(agent, "QuestSimHeadset-v0"))
 
 

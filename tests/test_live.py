@@ -22,7 +22,8 @@ from agents.live.users import Recordings
 from agents.live.watcher import Watcher, load_checkpoint, newest_checkpoint
 from agents.loading import load_agent
 from agents.policy.checkpoint import CARD_FILE, WEIGHTS_FILE, save_policy
-from agents.policy.policy_agent import new_policy
+from agents.policy.export import check_exportable
+from agents.policy.policy_agent import PolicyAgent, new_policy
 from agents.policy.spec import Layout, PolicySpec
 from envs.config import EnvConfig
 from envs.layout import observation_layout
@@ -335,6 +336,15 @@ def test_the_trace_keeps_the_last_seconds_once():
     assert error_cm[-1] == pytest.approx(100.0 * live.snapshot().error_m)
     forces = np.linalg.norm(live.snapshot().contact_force, axis=-1)
     assert (left[-1], right[-1]) == pytest.approx(tuple(forces))
+
+
+def test_a_policy_that_observes_proportions_can_be_watched_but_not_exported():
+    layout = Layout.of(observation_layout(EnvConfig(observe_proportions=True)))
+    policy = new_policy(PolicySpec(hidden=(8,), critic_blocks=()), layout)
+    agent = PolicyAgent(policy, Needs(observe_proportions=True))
+    assert "H+2C" in TorqueDriver(agent).sensor_sets()
+    with pytest.raises(InputError, match="proportions, which the graph does not take"):
+        check_exportable(agent)
 
 
 def checkpoint(folder: Path, steps: int, seed: int) -> None:

@@ -205,6 +205,7 @@ class TorqueEngine(SimulatedEngine):
             sensors=sensors or needs.sensors,
             future_frames=needs.future_frames,
             body_preset=needs.body_preset,
+            observe_proportions=needs.observe_proportions,
             terrain=scene.terrain,
             objects=scene.objects,
         )
@@ -316,6 +317,7 @@ class PhysicsEngine(SimulatedEngine):
             future_frames=needs.future_frames,
             privileged=needs.privileged,
             body_preset=needs.body_preset,
+            observe_proportions=needs.observe_proportions,
             objects=objects,
         )
         super().__init__(tracker, config)

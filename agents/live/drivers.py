@@ -98,6 +98,7 @@ class TorqueDriver:
             future_frames=needs.future_frames,
             privileged=needs.privileged,
             body_preset=needs.body_preset,
+            observe_proportions=needs.observe_proportions,
             heights=None if height_m is None else (height_m, height_m),
             fixed_start=True,
         )

@@ -127,6 +127,9 @@ def check_exportable(agent: Agent, where: str | None = None) -> None:
         raise InputError(
             f"reads {read}, which no device measures", where, "export one of its students"
         )
+    if agent.needs.observe_proportions:
+        what = "observes the avatar's proportions, which the graph does not take"
+        raise InputError(what, where, "export a policy trained without --observe-proportions")
 
 
 def controller_of(agent: PolicyAgent) -> TorqueController:
