@@ -231,7 +231,7 @@ def test_other_devices_frames_or_proportions_of_the_same_size_are_refused(env):
 
 def test_body_of_another_preset_is_refused(env):
     agent = PolicyAgent(policy_for(env, SPARSE), Needs(body_preset="paper"))
-    env.config = type("Config", (), {"body_preset": "default"})()
+    env.config = EnvConfig()
     with pytest.raises(InputError, match="'paper'"):
         agent.bind(env)
 
