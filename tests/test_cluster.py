@@ -269,11 +269,13 @@ def test_train_py_trains_with_workers_and_goes_on_with_others(tmp_path, cluster,
         f" --out {out} --set stages.teacher.learning.rollout_steps=4"
         " stages.teacher.learning.minibatch=16 validation_clips=1"
     )
-    assert main([*line.split(), "--steps", "32", "--workers", "2"]) == 0
+    shared = ["--gradients", "workers"]
+    assert main([*line.split(), "--steps", "32", "--workers", "2", *shared]) == 0
+    assert "gradients of 2 workers with 8 samples each: 16 a step" in capsys.readouterr().out
     assert (out / "teacher" / "last" / "policy.yaml").is_file()
-    assert "anew" not in capsys.readouterr().out
-    assert main([*line.split(), "--steps", "64", "--workers", "2", "--resume"]) == 0
-    assert "anew" not in capsys.readouterr().out
+    again = [*line.split(), "--steps", "64", "--workers", "2", *shared, "--resume"]
+    assert main(again) == 0
+    assert "new episodes begin" not in capsys.readouterr().out
     assert main([*line.split(), "--steps", "96", "--resume"]) == 0
     assert "another number of workers: new episodes begin" in capsys.readouterr().out
 

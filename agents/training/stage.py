@@ -23,6 +23,7 @@ from agents.training.learner import Learner
 from agents.training.loggers import LogName
 from agents.training.monitor import Display, Monitor, evaluation_figures
 from agents.training.ray_session import HeadLostError
+from agents.training.shared_update import LearningPool
 
 
 @dataclass
@@ -134,17 +135,14 @@ class Stage:
         state = load_resume(self.folder / "last")
         self.learner.load_state_dict(state["learner"])
         saved = unpack(state["env"])
-        others = len(saved.get("workers", ())) != getattr(self.env, "count", 0)
-        self.env.set_state(with_rates_of(saved, self.env) if others else saved)
+        differs = _differs(saved, self.env)
+        self.env.set_state(with_rates_of(saved, self.env) if differs else saved)
         self.budget.spent = state["seconds"]
         self.best_score, self.history = state["best_score"], state["history"]
         torch.set_rng_state(state["torch_random"])
-        return (
-            "another number of workers: new episodes begin, so the bits are not those of an "
-            "uninterrupted run"
-            if others
-            else None
-        )
+        if differs is None:
+            return None
+        return f"{differs}: new episodes begin, so the bits are not those of an uninterrupted run"
 
     def run(self, display: Display, stopper: Stopper) -> None:
         """Train until the budget is used or a stop is requested.
@@ -242,3 +240,13 @@ class Stage:
             **self.beside,
         }
         save_policy(self.folder / "last", self.learner.policy, self.needs, self._card(), state)
+
+
+def _differs(saved: dict[str, Any], env: Any) -> str | None:
+    """How the workers of a saved environment differ from those of ``env``, in words."""
+    parts = saved.get("workers", ())
+    if len(parts) != getattr(env, "count", 0):
+        return "another number of workers"
+    if parts and ("order" in parts[0]) != isinstance(env, LearningPool):
+        return "gradients are computed elsewhere"
+    return None

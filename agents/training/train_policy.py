@@ -73,6 +73,7 @@ MAY_DIFFER_ON_RESUME = {
     "threads",
     "workers",
     "ray",
+    "gradients",
     "log",
     "out",
     "teacher",
