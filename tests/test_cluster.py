@@ -62,6 +62,20 @@ def cluster():
         yield ray
 
 
+@pytest.fixture
+def closed_after(cluster):
+    """Close workers also when a test fails: their cores would be missing for ever."""
+    opened: list[Any] = []
+
+    def keep(workers: Any) -> Any:
+        opened.append(workers)
+        return workers
+
+    yield keep
+    for workers in opened:
+        workers.close()
+
+
 def trained(
     env, iterations: int = 3, after=lambda done: None, other_clips=None
 ) -> dict[str, np.ndarray]:
@@ -104,25 +118,26 @@ def test_the_sampler_of_a_worker_knows_the_falls_of_all(batch):
     assert worker._sampler["clip_failure"][1] == sampler.clip_failure[1] > 0.5
 
 
-def test_one_worker_gives_the_bits_of_none_also_with_new_clips_and_after_its_death(batch, cluster):
+def test_one_worker_gives_the_bits_of_none_also_with_new_clips_and_after_its_death(
+    batch, cluster, closed_after
+):
     from agents.training.cluster import ActorPool
 
     others = load_motions("synthetic:stand+wave")[3:5]  # fewer clips than before
     expected = trained(batch.make(), other_clips=others)
-    pool = ActorPool(batch, 1)
+    pool = closed_after(ActorPool(batch, 1))
 
     def kill(done: int) -> None:  # the third rollout is played by another worker
         if done == 1:
             os.kill(cluster.get(pool._actors[0].call.remote("pid")), signal.SIGKILL)
 
     assert same(trained(pool, other_clips=others, after=kill), expected)
-    pool.close()
 
 
-def test_workers_that_learn_together_lose_nothing_with_one_of_them(batch, cluster):
+def test_workers_that_learn_together_lose_nothing_with_one_of_them(batch, cluster, closed_after):
     from agents.training.shared_update import LearningPool, make_shared_ppo
 
-    pool, found = LearningPool(batch, 2), []
+    pool, found = closed_after(LearningPool(batch, 2)), []
     assert list(pool.map(abs, [-1, -2, -3])) == [1, 2, 3]
     begin = pool.get_state()
     for death in (False, True):  # twice from the same state, with the same workers
@@ -135,15 +150,16 @@ def test_workers_that_learn_together_lose_nothing_with_one_of_them(batch, cluste
         found.append(weights_of(ppo.policy))
     assert ppo.policy.actor.norm.count == 3 * 4 * STEPS  # of both workers
     assert same(*found)
-    pool.close()
 
 
-def test_workers_that_share_the_batches_of_a_system_lose_nothing_with_one(tmp_path, cluster):
+def test_workers_that_share_the_batches_of_a_system_lose_nothing_with_one(
+    tmp_path, cluster, closed_after
+):
     config = AGENTS["hmdposer"].presets["smoke"]
     part = part_of(config.stages["network"], 2)
     motions = [to_motion(swaying_clip(frames=90))]
     about = ("hmdposer", config.spec, "network", part, 4, 0, 1)
-    team, found = RayTeam(SharedStage(*about, motions, []), 2), []
+    team, found = closed_after(RayTeam(SharedStage(*about, motions, []), 2)), []
     for death in (False, True):
         torch.manual_seed(0)
         module = AGENTS["hmdposer"].build(config.spec)
@@ -157,7 +173,6 @@ def test_workers_that_share_the_batches_of_a_system_lose_nothing_with_one(tmp_pa
                 os.kill(cluster.get(team._actors[0].pid.remote()), signal.SIGKILL)
         found.append({name: value.numpy() for name, value in module.state_dict().items()})
     assert same(*found)
-    team.close()
 
 
 def test_a_worker_that_learns_alone_has_the_bits_of_a_training_without(batch):
