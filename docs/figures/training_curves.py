@@ -52,6 +52,8 @@ FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
         ("wider, student", "wide student, with device errors, first part"),
         ("wider, student, last part", "wide student, last part"),
         ("wider, questsim", "questsim, one student of two"),
+        ("wider, now", "questsim-now, student of questsim"),
+        ("wider, now, of two", "questsim-now, one student of two"),
     ),
     "training-estimates.png": (
         ("shown estimates", "shown estimates of HMD-Poser and LGSIK-Poser"),
