@@ -19,6 +19,8 @@ import matplotlib.pyplot as plt
 HERE = Path(__file__).parent
 TABLE, IMAGES = HERE / "curves.csv", HERE.parent / "images"
 COLUMNS: tuple[str, ...] = ("curve", "steps", "tracked", "link_error_cm", "score")
+MOST_INSIDE = 6
+"""Curves whose legend has room inside the plot."""
 FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
     "training-teacher.png": (
         "springs of 100 c",
@@ -98,7 +100,9 @@ def add(curve: str, stage: Path, before: int = 0) -> None:
 def draw(curves: dict[str, list[dict[str, str]]]) -> None:
     """Share of clips tracked and mean link error against steps."""
     for name, members in FIGURES.items():
-        figure, axes = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained")
+        many = len(members) > MOST_INSIDE
+        size = (9, 4.2 if many else 3.2)
+        figure, axes = plt.subplots(1, 2, figsize=size, layout="constrained")
         for member in members:
             curve, label = (member, member) if isinstance(member, str) else member
             rows = curves.get(curve, [])
@@ -108,7 +112,15 @@ def draw(curves: dict[str, list[dict[str, str]]]) -> None:
         axes[0].set(xlabel="steps (M)", ylabel="clips tracked (%)", ylim=(0, 100))
         axes[1].set(xlabel="steps (M)", ylabel="mean link error (cm)")
         axes[1].set_ylim(bottom=0)
-        axes[0].legend(frameon=False)
+        if many:
+            figure.legend(
+                *axes[0].get_legend_handles_labels(),
+                loc="outside lower center",
+                ncols=2,
+                frameon=False,
+            )
+        else:
+            axes[0].legend(frameon=False)
         for axis in axes:
             axis.spines[["top", "right"]].set_visible(False)
             axis.grid(alpha=0.25)
