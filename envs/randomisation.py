@@ -22,8 +22,6 @@ class Randomisation:
     Attributes:
         friction: factor on the friction of avatar and floor.
         mass: factor on mass and inertia of all links.
-        unscaled_m: stature of the avatar minus that of its user, whose devices and motion are not
-            scaled to the avatar; beside ``EnvConfig.unscaled_m``.
         latency_frames: latency of the devices in whole frames.
         dropout: probability per frame that a dropout of a device begins.
         dropout_frames: duration of a dropout; the device then repeats its last pose.
@@ -36,6 +34,8 @@ class Randomisation:
             headset is recentred. Devices and reference jump together.
         recentre_rad: angle by which the user turns in that jump, to either side.
         recentre_s: time of the jump after the start of the episode.
+        unscaled_m: stature of the avatar minus that of its user, whose devices and motion are not
+            scaled to the avatar; beside ``EnvConfig.unscaled_m``.
 
     Raises:
         InputError: an invalid range.
@@ -43,7 +43,6 @@ class Randomisation:
 
     friction: tuple[float, float] = (1.0, 1.0)
     mass: tuple[float, float] = (1.0, 1.0)
-    unscaled_m: tuple[float, float] = (0.0, 0.0)
     latency_frames: tuple[int, int] = (0, 0)
     dropout: tuple[float, float] = (0.0, 0.0)
     dropout_frames: tuple[int, int] = (4, 18)
@@ -55,6 +54,7 @@ class Randomisation:
     recentre_m: tuple[float, float] = (0.0, 0.0)
     recentre_rad: tuple[float, float] = (0.0, 0.0)
     recentre_s: tuple[float, float] = (1.0, 8.0)
+    unscaled_m: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         for name, least, most in (

@@ -334,7 +334,7 @@ def test_the_learning_rate_rises_from_nothing_over_the_warm_up(tmp_path):
     rates = []
     for _ in range(6):
         fit._step(0.0)
-        rates.append(fit._optimiser.param_groups[0]["lr"])
+        rates.append(fit._descent.optimiser.param_groups[0]["lr"])
     assert np.allclose(rates, [2.5e-4, 5e-4, 7.5e-4, 1e-3, 1e-3, 1e-3])
 
 
