@@ -132,7 +132,7 @@ def test_a_students_balance_pulls_towards_midway_between_the_feet(walking):
     terms = balance_of(walking, False).terms(torch.from_numpy(walking.observation)).numpy()
     for i, height in enumerate(walking.heights):
         feet = walking.link_positions[i, list(FOOT_LINKS)]
-        away = feet.mean(0) - walking._com[i, 1]
+        away = feet.mean(0) - walking.batch.bind("subtree_com")[i, 1]
         found, expected = terms[i, 36:39], in_s(walking, i, away)
         # Up to the few centimetres by which it is in front of the ankles.
         assert np.linalg.norm(found[:2] - expected[:2]) < 0.05 * height / 1.75
