@@ -75,6 +75,15 @@ class Starts:
         return self.standing + self.still + self.disturbed + self.estimate
 
 
+WHOLLY: dict[str, Starts | None] = {
+    "reference": None,
+    "still": Starts(still=1.0),
+    "standing": Starts(standing=1.0),
+    "estimate": Starts(estimate=1.0),
+}
+"""Starts in which all episodes begin alike, by the names of ``evaluate.py --begin``."""
+
+
 class Estimates:
     """Estimates of the reference's states in which episodes may begin.
 

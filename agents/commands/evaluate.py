@@ -25,7 +25,7 @@ from agents.training.ray_session import ray_map
 from envs.config import EnvConfig
 from envs.objects import objects_named
 from envs.randomisation import REAL_DEVICES
-from envs.starts import Starts
+from envs.starts import WHOLLY
 from envs.terrain import terrain_named
 from questsim.errors import InputError, at_least
 from questsim.evaluation_report import check_writable
@@ -49,12 +49,6 @@ _OF_PHYSICS = (
     "seeds",
 )
 """Environment options, which do not apply to a kinematic system."""
-_STARTS = {
-    "reference": None,
-    "still": Starts(still=1.0),
-    "standing": Starts(standing=1.0),
-    "estimate": Starts(estimate=1.0),
-}
 
 
 def evaluate(args: EvaluateArgs) -> int:
@@ -151,7 +145,7 @@ def _config_of(args: EvaluateArgs, config: EnvConfig) -> EnvConfig:
         config = replace(config, objects=objects_named(args.objects, "--objects"))
     if args.noise:
         config = replace(config, randomisation=REAL_DEVICES)
-    return replace(config, starts=_STARTS[args.begin], unscaled_m=args.unscaled)
+    return replace(config, starts=WHOLLY[args.begin], unscaled_m=args.unscaled)
 
 
 def _estimates(clips: Sequence[Clip]) -> dict[str, Clip]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from envs.config import EnvConfig
 from envs.randomisation import Randomisation
-from envs.starts import Starts
+from envs.starts import WHOLLY, Starts
 from questsim.joint_sensors import SENSOR_FPS, SensorSequence
 from questsim.motion.clip import FPS
 from questsim.sensors import DEVICES, SensorNoise
@@ -104,9 +104,7 @@ def with_noise(config: EnvConfig, noise: Noise | None) -> EnvConfig:
 
 def starts_of(start: Start) -> Starts | None:
     """``EnvConfig.starts`` of a start."""
-    if start == "standing":
-        return Starts(standing=1.0)
-    return Starts(estimate=1.0) if start == "estimate" else None
+    return None if start == "user" else WHOLLY[start]
 
 
 _FROM: dict[Start, str] = {"user": ", from the user's state", "standing": ", from standing"}

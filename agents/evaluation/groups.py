@@ -20,7 +20,7 @@ from agents.evaluation.options import CONDITIONS
 from agents.evaluation.rollout import roll_out
 from envs.config import EnvConfig
 from envs.randomisation import REAL_DEVICES
-from envs.starts import Starts
+from envs.starts import WHOLLY
 from questsim.errors import InputError
 from questsim.evaluation_report import write_report
 from questsim.metrics import Rollout, summarise
@@ -35,8 +35,8 @@ FILE = "groups.json"
 ALL = "all"
 _CHANGES: dict[str, dict[str, Any]] = {
     "reference": {},
-    "still": {"starts": Starts(still=1.0)},
-    "standing": {"starts": Starts(standing=1.0)},
+    "still": {"starts": WHOLLY["still"]},
+    "standing": {"starts": WHOLLY["standing"]},
     "noise": {"randomisation": REAL_DEVICES},
 }
 _HEADS = {

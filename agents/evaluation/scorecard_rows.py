@@ -10,7 +10,7 @@ from agents.evaluation.standing_pushes import BARS as PUSH_BARS
 from agents.evaluation.worlds import WORLDS, World
 from envs.objects import WorldObject
 from envs.randomisation import REAL_DEVICES
-from envs.starts import Starts
+from envs.starts import WHOLLY
 
 FRESH_SEED = 2026
 """Seed of the embedded clips; training uses seed 0."""
@@ -90,9 +90,9 @@ TRIALS: dict[str, Trial] = {
         seed=FRESH_SEED,
     ),
     EXTRA: Trial(says="motions of --extra"),
-    "standing": Trial(says="standing start", changes={"starts": Starts(standing=1.0)}),
+    "standing": Trial(says="standing start", changes={"starts": WHOLLY["standing"]}),
     "estimate": Trial(
-        says="start from an estimate", changes={"starts": Starts(estimate=1.0)}, estimate=True
+        says="start from an estimate", changes={"starts": WHOLLY["estimate"]}, estimate=True
     ),
     "noise": Trial(
         says="noise, mounts off, jitter, dropouts", changes={"randomisation": REAL_DEVICES}
