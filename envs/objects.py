@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -41,6 +42,8 @@ _SHAPES: dict[str, tuple[float, tuple[_Geom, ...]]] = {
     ),
 }
 OBJECTS: tuple[str, ...] = tuple(_SHAPES)
+OPTIONS: tuple[str, ...] = ("ahead_s", "aside_m", "mass_kg")
+"""Options of an object: the fields of ``WorldObject`` but its kind."""
 _RGBA = (0.85, 0.75, 0.3, 1.0)
 # Contact sensor: data "force", reduce "netforce", one contact.
 _NET_FORCE = [2, 3, 1]
@@ -79,21 +82,42 @@ class WorldObject:
             check_number("mass_kg", self.mass_kg, 0.01, 200.0, "objects")
 
 
-def objects_named(names: Sequence[str], where: str = "objects") -> tuple[WorldObject, ...]:
-    """Objects of the given kinds, with default options.
+def objects_named(
+    texts: Sequence[str], where: str = "objects", options: Sequence[str] = OPTIONS
+) -> tuple[WorldObject, ...]:
+    """Parse objects: kinds of ``OBJECTS``, each optionally followed by options.
 
     Args:
-        names: kinds of ``OBJECTS``.
-        where: source of the names, for error messages.
+        texts: e.g. ``"ball"``, ``"ball:mass_kg=1"`` or ``"chair:ahead_s=1..3,aside_m=2"``. A range
+            is two numbers with two dots between them; one number is a range of that number alone.
+        where: source of the texts, for error messages.
+        options: the options that count there.
 
     Raises:
-        InputError: an unknown kind.
+        InputError: an unknown kind or option, or a value out of range.
     """
-    for name in names:
-        if name not in OBJECTS:
-            known = ", ".join(OBJECTS)
-            raise InputError(f"unknown object {name!r}", where, f"choose from {known}")
-    return tuple(WorldObject(name) for name in names)
+    return tuple(_object_named(text, where, options) for text in texts)
+
+
+def _object_named(text: str, where: str, options: Sequence[str]) -> WorldObject:
+    kind, _, given = text.partition(":")
+    if kind not in OBJECTS:
+        raise InputError(f"unknown object {kind!r}", where, f"choose from {', '.join(OBJECTS)}")
+    values: dict[str, Any] = {}
+    for option in filter(None, given.split(",")):
+        name, equals, value = option.partition("=")
+        if not equals or name not in options:
+            fix = f"it has {', '.join(options)}"
+            raise InputError(f"{option!r} is not an option of an object here", where, fix)
+        try:
+            ends = [float(end) for end in value.split("..")]
+        except ValueError:
+            ends = []
+        if len(ends) != 1 and (len(ends) != 2 or name == "mass_kg"):
+            fix = "give a number" if name == "mass_kg" else "give a number, or a range such as 1..2"
+            raise InputError(f"{value!r} is no value", f"{where} {name}", fix)
+        values[name] = ends[0] if name == "mass_kg" else (ends[0], ends[-1])
+    return WorldObject(kind, **values)
 
 
 def _scaled(part: _Geom, scale: float) -> _Geom:

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from envs.config import EnvConfig
-from envs.objects import WorldObject
+from envs.objects import WorldObject, objects_named
 from envs.pushes import Pushes
 from envs.randomisation import Randomisation
 from envs.starts import Starts
@@ -154,7 +154,7 @@ def _objects(value: Any) -> Any:
     if not isinstance(objects, Sequence):
         return value
     return tuple(
-        WorldObject(obj) if isinstance(obj, str) else _fields_of(WorldObject, obj, "objects")
+        objects_named([obj])[0] if isinstance(obj, str) else _fields_of(WorldObject, obj, "objects")
         for obj in objects
     )
 

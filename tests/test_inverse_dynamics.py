@@ -15,6 +15,7 @@ from questsim.motion import inverse_dynamics
 from questsim.motion.clip import FPS
 from questsim.motion.inverse_dynamics import InverseDynamics, reference_torques
 from questsim.motion.kinematics import clip_from_qpos
+from questsim.motion.synthesis.synthetic import seated_clips
 from questsim.skeleton import DOFS, NUM_DOFS
 
 GRAVITY = 9.81
@@ -51,6 +52,16 @@ def test_torques_are_of_the_body_of_the_clips_height(height: float) -> None:
     own = InverseDynamics(height).torques(swaying_clip(height_m=height))[10, knee]
     middle = InverseDynamics().torques(swaying_clip())[10, knee]
     assert own / middle == pytest.approx((height / 1.75) ** 4, rel=0.1)
+
+
+def test_a_chair_carries_who_sits() -> None:
+    """Feet alone cannot carry a seated person: the centre of mass is behind the heels."""
+    clip, dynamics = seated_clips()[0], InverseDynamics()
+    sits = clip.qpos[:, 2] < 0.55
+    with_chair, without = dynamics.forces(clip), dynamics.forces(replace(clip, kind="squat"))
+    assert np.abs(with_chair[:, :6]).max() < 5.0 and with_chair[:, 6:].shape == (len(clip), 33)
+    assert np.abs(without[sits, :6]).max() > 50.0
+    np.testing.assert_array_equal(with_chair[~sits][:20], without[~sits][:20])
 
 
 def test_torques_are_kept_by_motion_and_body(tmp_path, monkeypatch) -> None:

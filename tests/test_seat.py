@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
 
+from agents.evaluation.follow import evaluation_sim, follow
+from agents.evaluation.rollout import env_config
+from agents.policy.checkpoint import find_policy, load_policy
 from envs import BatchSim, EnvConfig, Terrain, WorldObject
+from envs.objects import objects_named
 from envs.options import config_from
 from envs.world import build_world
 from questsim.body import build_body
@@ -132,6 +138,15 @@ def test_who_follows_a_seated_clip_by_springs_is_borne_by_the_chair() -> None:
     assert heights[1] < heights[0] - 0.1
 
 
+def test_the_tracker_sits_down_on_a_chair_and_stands_up_again() -> None:
+    tracker = load_policy(find_policy("tracker"))
+    sim = evaluation_sim(CLIPS[:2], replace(env_config(tracker), objects=CHAIR))
+    tracker.bind(sim)
+    followed = follow(tracker, sim, CLIPS[:2])
+    assert not followed.fell.any()
+    assert sim.qpos[:, 2].min() > 0.8  # they end upright
+
+
 def test_a_chair_stands_elsewhere_for_clips_that_do_not_sit() -> None:
     clips = [CLIPS[0], *load_motions("synthetic:stand")[:1]]
     sim = BatchSim(clips, EnvConfig(fixed_start=True, objects=CHAIR, terrain=Terrain("flat")))
@@ -140,7 +155,27 @@ def test_a_chair_stands_elsewhere_for_clips_that_do_not_sit() -> None:
     assert 0.3 < apart[0] < 0.5 and apart[1] >= 0.55 - 1e-6
 
 
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("stool", "unknown object 'stool'"),
+        ("ball:kg=1", "'kg=1' is not an option of an object here"),
+        ("ball:mass_kg=1..2", "'1..2' is no value"),
+        ("ball:ahead_s=1..2..3", "'1..2..3' is no value"),
+        ("ball:ahead_s=3..1", "ahead_s"),
+        ("ball:mass_kg=nan", "mass_kg"),
+    ],
+)
+def test_an_object_that_cannot_be_is_refused(text: str, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        objects_named([text])
+
+
 def test_objects_are_told_by_name() -> None:
+    assert objects_named(["ball:mass_kg=1,ahead_s=2", "chair:aside_m=-1..3"]) == (
+        WorldObject("ball", ahead_s=(2.0, 2.0), mass_kg=1.0),
+        WorldObject("chair", aside_m=(-1.0, 3.0)),
+    )
     assert config_from({"objects": ("chair", WorldObject("ball"))}).objects == (
         WorldObject("chair"), WorldObject("ball"),
     )  # fmt: skip

@@ -58,7 +58,8 @@ class EvaluateArgs(_FollowArgs):
         Doc(f"Ground instead of the environment's own: {one_of(TERRAINS)}, or rough:seed=3."),
     ] = None
     objects: Annotated[
-        tuple[str, ...], Doc(f"Objects on the clips' paths: {', '.join(OBJECTS)}.")
+        tuple[str, ...],
+        Doc(f"Objects on the clips' paths: {', '.join(OBJECTS)}, or e.g. ball:mass_kg=1."),
     ] = ()
     begin: Begin = "reference"
     """Initial state of the avatar: the user's pose and velocity; the user's pose, at rest; standing

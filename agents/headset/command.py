@@ -125,7 +125,7 @@ def live(args: LiveArgs, out: Path | None = None) -> None:
         _refuse_calibrating(args)
         calibration = Calibration.of(recording.calibration, str(args.replay))
     terrain = None if args.terrain is None else terrain_named(args.terrain, "--terrain")
-    objects = objects_named(args.objects, "--objects")
+    objects = objects_named(args.objects, "--objects", options=("mass_kg",))
     follower = Follower(
         args.agent, args.sensors, assist_n=args.assist or 0.0, terrain=terrain, objects=objects
     )

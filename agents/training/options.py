@@ -85,7 +85,10 @@ class TrainArgs:
     between these two values in newtons."""
     objects: Annotated[
         tuple[str, ...],
-        Doc(f"Objects on the clips' paths, to stumble over or kick: {', '.join(OBJECTS)}."),
+        Doc(
+            f"Objects on the clips' paths, to stumble over or kick: {', '.join(OBJECTS)}, or e.g. "
+            "chair:aside_m=5. Clips that sit get a chair under them."
+        ),
     ] = ()
     randomisation: Randomisation = field(default_factory=Randomisation)
     """Domain randomisation across the simulations."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 
 import mujoco
@@ -18,7 +18,9 @@ from questsim.files import whole_file
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.datasets import cache_dir
 from questsim.motion.kinematics import sole_points
-from questsim.skeleton import FOOT_LINKS, NUM_DOFS
+from questsim.motion.synthesis.seat import SEATED_ROOT_M
+from questsim.motion.synthesis.wish import SEATED
+from questsim.skeleton import FOOT_LINKS, LINKS, NUM_DOFS
 
 FRICTION = 0.8
 """Friction coefficient of the contact force pyramid; the simulated floor has 1."""
@@ -29,6 +31,12 @@ CONTACT_HEIGHT_M = 0.015
 ROOT_WEIGHTS = np.array([1.0, 1.0, 1.0, 3.0, 3.0, 3.0])
 """In the residual on the root, one newton metre counts as three newtons."""
 
+SEAT_POINTS = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -0.12]])
+"""Places on a thigh, in its frame, above the points that a seat carries; 1.75 m body."""
+
+THIGH_M = 0.075
+"""Distance of these points below the thigh's axis."""
+
 SPREAD = 0.05
 """Regularisation weight of the forces: prefers solutions that load all points."""
 
@@ -36,6 +44,7 @@ SPREAD = 0.05
 EDGES = np.array(
     [[FRICTION, 0.0, 1.0], [-FRICTION, 0.0, 1.0], [0.0, FRICTION, 1.0], [0.0, -FRICTION, 1.0]]
 )
+_THIGHS = tuple(LINKS.index(f"{side}_thigh") for side in ("left", "right"))
 VERSION = b"2"
 """Part of the cache key: change it with the method, so that torques are recomputed."""
 
@@ -45,8 +54,10 @@ class InverseDynamics:
 
     Accelerations are differences of the clip's velocities. The force on the root
     is supplied by forces at sole points near the floor, inside a friction pyramid, found by
-    non-negative least squares (Lawson & Hanson 1974). A residual that they cannot supply, in flight
-    or where the capture is not physical, is dropped. Passive damping and armature are included.
+    non-negative least squares (Lawson & Hanson 1974). While a clip of a seated kind has its root at
+    the height of the seat, the chair also carries the thighs. A residual that they cannot supply,
+    in flight or where the capture is not physical, is dropped. Passive damping and armature are
+    included.
 
     Args:
         height_m: stature in metres.
@@ -67,7 +78,10 @@ class InverseDynamics:
         self._data = mujoco.MjData(self._model)
         gravity = float(np.linalg.norm(self._model.opt.gravity))
         self.weight_n = float(self._model.body_mass.sum()) * gravity
-        self._soles = sole_points() * height_m / DEFAULT_HEIGHT_M
+        scale = height_m / DEFAULT_HEIGHT_M
+        self._soles, self._seat = sole_points() * scale, SEAT_POINTS * scale
+        self._thigh_m = THIGH_M * scale
+        self._seated_below_m = SEATED_ROOT_M * scale + CONTACT_HEIGHT_M
         self._jacobian = np.zeros((3, self._model.nv))
 
     def torques(self, clip: Clip) -> np.ndarray:
@@ -81,26 +95,31 @@ class InverseDynamics:
         cannot supply.
         """
         acceleration = np.gradient(clip.qvel, 1.0 / FPS, axis=0)
+        on_chair = clip.kind in SEATED
         return np.stack(
             [
-                self.at(qpos, qvel, qacc)
+                self.at(qpos, qvel, qacc, on_chair)
                 for qpos, qvel, qacc in zip(clip.qpos, clip.qvel, acceleration, strict=True)
             ]
         )
 
-    def at(self, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray) -> np.ndarray:
-        """Generalised forces ``(39,)`` of one frame; see ``forces``."""
+    def at(
+        self, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray, on_chair: bool = False
+    ) -> np.ndarray:
+        """Generalised forces ``(39,)`` of one frame; see ``forces``.
+
+        Args:
+            qpos, qvel, qacc: of the frame.
+            on_chair: whether a chair of this body's size is there.
+        """
         model, data = self._model, self._data
         data.qpos[:], data.qvel[:], data.qacc[:] = qpos, qvel, qacc
         mujoco.mj_inverse(model, data)
         force = np.array(data.qfrc_inverse)
         jacobians = []
-        for foot, points in zip(FOOT_LINKS, self._soles, strict=True):
-            turn = data.xmat[foot + 1].reshape(3, 3)
-            for point in data.xpos[foot + 1] + points @ turn.T:
-                if point[2] < CONTACT_HEIGHT_M:
-                    mujoco.mj_jac(model, data, self._jacobian, None, point, foot + 1)
-                    jacobians.append(EDGES @ self._jacobian)
+        for link, point in self._bearing_points(on_chair):
+            mujoco.mj_jac(model, data, self._jacobian, None, point, link + 1)
+            jacobians.append(EDGES @ self._jacobian)
         if jacobians:
             edges = np.concatenate(jacobians)
             root = edges[:, :6].T * ROOT_WEIGHTS[:, None]
@@ -108,6 +127,22 @@ class InverseDynamics:
             factors, _ = scipy.optimize.nnls(np.vstack([root, SPREAD * np.eye(len(edges))]), wanted)
             force -= edges.T @ factors
         return force
+
+    def _bearing_points(self, on_chair: bool) -> Iterator[tuple[int, np.ndarray]]:
+        """Link and place of each point of the current pose that floor or chair can carry."""
+        for foot, points in zip(FOOT_LINKS, self._soles, strict=True):
+            for point in self._in_world(foot, points):
+                if point[2] < CONTACT_HEIGHT_M:
+                    yield foot, point
+        if on_chair and self._data.qpos[2] < self._seated_below_m:
+            for thigh in _THIGHS:
+                for point in self._in_world(thigh, self._seat):
+                    yield thigh, point - [0.0, 0.0, self._thigh_m]
+
+    def _in_world(self, link: int, points: np.ndarray) -> np.ndarray:
+        """World positions ``(n, 3)`` of points ``(n, 3)`` in a link's frame."""
+        turn = self._data.xmat[link + 1].reshape(3, 3)
+        return self._data.xpos[link + 1] + points @ turn.T
 
 
 def reference_torques(clips: Sequence[Clip], preset: str = "default") -> np.ndarray:
@@ -150,6 +185,8 @@ def cached_torques(
     digest = hashlib.sha256(VERSION + body)
     digest.update(np.ascontiguousarray(clip.qpos, "<f8").tobytes())
     digest.update(repr(clip.proportions and clip.proportions.places).encode())
+    if clip.kind in SEATED:
+        digest.update(b"chair")
     path = cache_dir() / "torques" / f"{digest.hexdigest()[:32]}.npy"
     with suppress(OSError, ValueError, EOFError):  # missing or damaged: computed anew
         kept = np.load(path, allow_pickle=False)

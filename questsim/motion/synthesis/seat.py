@@ -26,7 +26,7 @@ SEAT_BEHIND_M = 0.12
 LEAST_SECONDS = 6.0
 """Minimum duration of a seated clip at 1.75 m: sitting down, sitting and standing up."""
 
-_ROOT_M = SEAT_HEIGHT_M + 0.084
+SEATED_ROOT_M = SEAT_HEIGHT_M + 0.084
 """Root height when seated: the seat plus half the thickness of thighs that slope to the knees."""
 _DOWN_S, _UP_S = 1.7, 1.6
 _TRUNK_S = 0.9
@@ -64,7 +64,7 @@ def seated_poses(
     ankles = np.array([[-COP_STANDING_M, half], [-COP_STANDING_M, -half]])
     feet = feet_paths(standing(ankles, np.array([toe_out, -toe_out]), len(time)), gait, time)
     pressure = np.column_stack([-_PRESSURE_BACK_M * low, np.zeros(len(time))])
-    height = (hip_m - 0.004) + low * (_ROOT_M - hip_m + 0.004)
+    height = (hip_m - 0.004) + low * (SEATED_ROOT_M - hip_m + 0.004)
     upright = idle(time, rng, looking=False)
     bowed = _bent(upright, bow)
     qpos = settle(_with_arms(bowed, time, low, low, rng=None), feet, height, pressure, time, False)
