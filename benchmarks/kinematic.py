@@ -15,10 +15,10 @@ import sys
 
 import torch
 
-from agents.comparison.scenarios import SIX
 from agents.kinematic.data import MotionBank
 from agents.kinematic.interface import KinematicSystem, UserBody
 from agents.kinematic.registry import AGENTS
+from agents.kinematic.scenario import SIX
 from benchmarks.common import arguments, report, seconds
 from questsim.cli import guarded
 from questsim.errors import InputError

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral, Real
 from typing import Any
@@ -18,7 +18,7 @@ from questsim.bodies import OwnBody
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M, PRESETS
 from questsim.errors import InputError, value_text
 from questsim.reward import RewardConfig
-from questsim.sensors import DEVICES, SensorNoise, sensor_set
+from questsim.sensors import DEVICES, SENSOR_SETS, SensorNoise
 
 MAX_FUTURE_FRAMES = 6
 MAX_ERROR_M = 1e6
@@ -140,18 +140,22 @@ def offsets_of(future_frames: int) -> tuple[int, ...]:
 
 def _check_devices(sensors: str, future_frames: int) -> None:
     """Reject sensors that a policy cannot observe, and too many future frames."""
-    imus = [name for name in sensor_set(sensors) if DEVICES[name].kind == "imu"]
-    if imus:
+    imus = {name: _imus(devices) for name, devices in SENSOR_SETS.items()}
+    fix = f"choose from {', '.join(name for name in imus if not imus[name])}"
+    if sensors not in imus:
+        raise InputError(f"unknown sensor set {sensors!r}", "sensors", fix)
+    if imus[sensors]:
         # An IMU does not measure its position, so the policy must not observe it.
-        raise InputError(
-            f"sensor set {sensors!r} has {imus[0]}, which reports no pose",
-            "EnvConfig",
-            "use a set without IMUs",
-        )
+        what = f"sensor set {sensors!r} has {imus[sensors][0]}, which reports no pose"
+        raise InputError(what, "sensors", fix)
     if not 0 <= future_frames <= MAX_FUTURE_FRAMES:
         raise InputError(
             f"future_frames is {future_frames}, not 0 to {MAX_FUTURE_FRAMES}", "EnvConfig"
         )
+
+
+def _imus(devices: Sequence[str]) -> list[str]:
+    return [name for name in devices if DEVICES[name].kind == "imu"]
 
 
 _ONE_SIZE = "its MJCF has one size; write another file for another size"

@@ -102,7 +102,7 @@ COMMANDS: dict[str, Command] = {
         "compare two evaluations clip by clip: intervals, clips that changed sides",
     ),
     "estimate": Command(
-        "agents.comparison.estimate", "estimate", "EstimateArgs",
+        "agents.kinematic.estimate_command", "estimate", "EstimateArgs",
         "write a library of a kinematic system's estimates of motions",
     ),
     "envs": Command(

@@ -69,7 +69,9 @@ def sensor_set(name: str) -> tuple[str, ...]:
         InputError: there is no such set.
     """
     if name not in SENSOR_SETS:
-        raise InputError(f"unknown sensor set {name!r}", fix=f"choose from {list(SENSOR_SETS)}")
+        raise InputError(
+            f"unknown sensor set {name!r}", fix=f"choose from {', '.join(SENSOR_SETS)}"
+        )
     return SENSOR_SETS[name]
 
 

@@ -13,17 +13,17 @@ from PIL import Image
 from agents.comparison import run as run_module
 from agents.comparison.behind import body_of
 from agents.comparison.compare import FIGURES, FILES, CompareArgs, compare, plan, shipped_agents
-from agents.comparison.conditions import NOISES, Start, condition_of, noisy, row_name
+from agents.comparison.conditions import Start, condition_of, row_name
 from agents.comparison.drawn import _over_time, compared, predictor_over_time, predictor_pairs
 from agents.comparison.plots import KINDS, kind_of
 from agents.comparison.record import Record
 from agents.comparison.report import Costs, Row, row_of, table
-from agents.comparison.scenarios import faulty, scenarios
 from agents.comparison.summary import CURVE_BINS, Summary, summarise
 from agents.evaluation import EvaluateArgs, evaluate
 from agents.kinematic import load_system
 from agents.kinematic.causal import causal_clip
 from agents.kinematic.data import MotionBank
+from agents.kinematic.device_faults import NOISES, faulty, noisy
 from agents.kinematic.efficiency import mmac_a_frame, stream_kib
 from agents.kinematic.interface import Poses, UserBody
 from agents.kinematic.recurrent.poser import RecurrentPoser
@@ -132,9 +132,9 @@ def test_a_tracker_on_a_foot_is_one_wherever_it_is_worn(tmp_path):
 
 
 def test_end_effectors_are_those_that_carry_a_device(tmp_path):
-    (four,) = [s for s in scenarios(load_system(saved("dragposer", tmp_path))) if s.name == "4"]
+    (four,) = [s for s in load_system(saved("dragposer", tmp_path)).scenarios if s.name == "4"]
     assert [JOINTS[i] for i in four.ends] == ["head", "left_wrist", "right_wrist"]
-    (six,) = scenarios(load_system("ik"))
+    (six,) = load_system("ik").scenarios
     assert {JOINTS[i] for i in six.ends} - {JOINTS[i] for i in four.ends} == {
         "left_toe", "right_toe",
     }  # fmt: skip
@@ -171,7 +171,7 @@ def test_a_stopped_comparison_goes_on_and_another_one_is_refused(tmp_path, monke
     again = []
 
     def again_scored(poses, job):
-        again.append(job[2].name)
+        again.append(job.motion.name)
         return real(poses, job)
 
     monkeypatch.setattr(run_module, "_scored", again_scored)
@@ -242,7 +242,7 @@ def test_two_processes_give_the_figures_of_one(tmp_path):
 
 
 def test_dragposer_is_compared_in_every_scenario_of_its_table(tmp_path):
-    names = [s.name for s in scenarios(load_system(saved("dragposer", tmp_path / "drag")))]
+    names = [s.name for s in load_system(saved("dragposer", tmp_path / "drag")).scenarios]
     assert names[:5] == ["3 head+hands", "3 hip+hands", "4", "5 no left foot", "6"]
     assert names[-2:] == ["faulty 0.5 %", "faulty 1 %"]
 

@@ -13,11 +13,11 @@ import torch
 from helpers import swaying_clip
 
 from agents.comparison.film import over_users_floor
-from agents.comparison.run import reconstructed
-from agents.comparison.scenarios import Scenario
+from agents.kinematic.estimates import Job, estimated
 from agents.kinematic.interface import KinematicSystem, Poses
 from agents.kinematic.recurrent.poser import RecurrentModule
 from agents.kinematic.registry import AGENTS
+from agents.kinematic.scenario import Scenario
 from agents.kinematic.store import CARD_FILE, load_system, save_system
 from agents.live import watcher
 from agents.live.demo import available_drivers
@@ -117,7 +117,7 @@ def test_the_avatar_takes_the_poses_that_the_comparison_scores(agent):
     live = session(agent)
     motion = to_motion(CLIPS[0]).resampled(60.0)
     scenario = Scenario("", SENSOR_SETS[live.settings.sensors])
-    whole = over_users_floor(reconstructed((agent, scenario, motion, 0, None)), motion).scaled(1.75)
+    whole = over_users_floor(estimated(Job(agent, scenario, motion)), motion).scaled(1.75)
     for frame in range(1, 60):
         shown = advance(live, 1)
         np.testing.assert_allclose(shown.position, whole.link_position[frame], atol=4e-3)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 
@@ -32,9 +31,6 @@ from questsim.evaluation_report import check_writable
 from questsim.exporting.formats import check_format
 from questsim.modes import Mode, Modes
 from questsim.motion.clip import Clip
-
-if TYPE_CHECKING:
-    from agents.comparison.scenarios import Scenario
 
 _OF_PHYSICS = (
     "env",
@@ -158,56 +154,33 @@ def _estimates(clips: Sequence[Clip]) -> dict[str, Clip]:
 def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
     """Evaluate a kinematic system, with or without physics, on its device signals."""
     # Imported here: this loads all systems, which an evaluation of a policy does not need.
-    from agents.comparison.compare import at_sensor_rate
-    from agents.comparison.run import reconstructed, reference, workers
-    from agents.kinematic.physics_behind import follow_poses
-    from agents.kinematic.without_physics import pose_rollout
+    from agents.kinematic.estimates import Job, at_sensor_rate, scenario_with
+    from agents.kinematic.evaluate import estimated_rollouts, simulated_rollouts
+    from agents.kinematic.processes import processes
     from questsim.motion.spec import load_recordings
 
-    scenario = _scenario(args, found)
+    scenario = scenario_with(found, args.sensors)
+    behind = found.kind == "physics"
+    if args.assist and not behind:
+        what = f"{args.agent} has no physics and cannot be assisted"
+        raise InputError(what, "--assist", "leave it out")
     motions = at_sensor_rate(load_recordings(args.motions, seed=args.seed), args.max_clips)
     filmed(args, motions)
-    jobs = [(found.base, scenario, motion, 0, None) for motion in motions]
-    if found.kind == "physics":
-        assist = AssistUse(args.assist) if args.assist else None
-        with workers(args.threads, args.workers, args.ray) as mapper:
-            references = list(mapper(reference, jobs))
-            rollouts = follow_poses(
-                references, motions, args.threads, assist, mapper if args.workers else map
-            )
-        tracker = load_agent(ESTIMATE_TRACKER)
-        clips = [rollout.reference for rollout in rollouts]
-        config = env_config(tracker)
-        context = evaluation_context(args.agent, tracker, args.motions, clips, config, args.threads)
-        return report(args, rollouts, context | _assisted(assist))
-    if args.assist:
-        raise InputError(
-            f"{args.agent} has no physics and cannot be assisted", "--assist", "leave it out"
-        )
-    began = time.perf_counter()
-    with workers(args.threads, args.workers, args.ray) as mapper:
-        poses = list(mapper(reconstructed, jobs))
-    share = (time.perf_counter() - began) / sum(map(len, motions))
-    rollouts = [
-        pose_rollout(pose, motion, share * len(motion))
-        for pose, motion in zip(poses, motions, strict=True)
-    ]
+    jobs = [Job(found.base, scenario, motion) for motion in motions]
+    assist = AssistUse(args.assist) if args.assist else None
+    with processes(args.threads, args.workers, args.ray) as mapper:
+        if behind:
+            physics = mapper if args.workers else map
+            rollouts = simulated_rollouts(jobs, args.threads, assist, mapper, physics)
+        else:
+            rollouts = estimated_rollouts(jobs, mapper)
     clips = [rollout.reference for rollout in rollouts]
+    tracker = load_agent(ESTIMATE_TRACKER) if behind else None
     given = {"physics": False, "devices": list(scenario.devices)}
-    context = evaluation_context(args.agent, None, args.motions, clips, given, args.threads)
-    return report(args, rollouts, context | {"training": found.training})
-
-
-def _scenario(args: EvaluateArgs, found: Resolved) -> Scenario:
-    """The first plain scenario of a kinematic system with the requested devices."""
-    from agents.comparison.run import devices_named, sets_of, suiting
-
-    suited = suiting(found, devices_named(args.sensors))
-    if not suited:
-        sets = ", ".join(sets_of(found))
-        what = f"{args.agent} does not support {args.sensors}"
-        raise InputError(what, "--sensors", f"choose from {sets}")
-    return suited[0]
+    config = given if tracker is None else env_config(tracker)
+    context = evaluation_context(args.agent, tracker, args.motions, clips, config, args.threads)
+    extra = _assisted(assist) if behind else {"training": found.training}
+    return report(args, rollouts, context | extra)
 
 
 def evaluate_worlds(args: WorldsArgs) -> int:

@@ -11,7 +11,6 @@ from typing import Any, Protocol
 from agents.comparison.costs import plan_costs, run
 from agents.comparison.report import Row, row_of
 from agents.comparison.run import Plan, simulated, suiting
-from agents.comparison.scenarios import scenarios
 from agents.kinematic.options import TrainSystemArgs
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.scenario import Variant
@@ -112,7 +111,7 @@ class SystemAblated:
     ) -> list[Row]:
         """See ``Ablated``."""
         rows = []
-        for scenario in scenarios(load_system(str(folder))):
+        for scenario in load_system(str(folder)).scenarios:
             if scenario.name in self._entry.ablated_in:
                 given = replace(scenario, options=(*scenario.options, *variant.options))
                 rows.append(run(str(folder), given, motions, seed))
@@ -171,7 +170,7 @@ class PolicyAblated:
     ) -> list[Row]:
         """See ``Ablated``."""
         agent = resolve(folder)
-        (scenario,) = suiting(agent, None)
+        (scenario,) = suiting(agent)
         plan = Plan(agent, scenario, None, ("user",))
         jobs = [plan.job(motion, seed + i) for i, motion in enumerate(motions)]
         ((_, summaries),) = simulated(plan, jobs, 1, map, {})

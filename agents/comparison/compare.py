@@ -11,11 +11,10 @@ import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from agents.comparison.conditions import NOISES, Noise
 from agents.comparison.costs import plan_costs
 from agents.comparison.drawn import (
     DRAWN,
@@ -30,11 +29,14 @@ from agents.comparison.plots import plot_accuracy, plot_plausibility
 from agents.comparison.record import FILE as RECORD_FILE
 from agents.comparison.record import Record
 from agents.comparison.report import COSTS, RECORDING, TABLES, row_of, table, write
-from agents.comparison.run import KeptPoses, Plan, compute, devices_named, suiting, workers
-from agents.comparison.scenarios import Scenario
+from agents.comparison.run import KeptPoses, Plan, compute, suiting
 from agents.evaluation.follow import choose_clips
 from agents.kinematic.data import motions_record
+from agents.kinematic.device_faults import NOISES, Noise
+from agents.kinematic.estimates import at_sensor_rate, unsupported
+from agents.kinematic.processes import processes
 from agents.kinematic.registry import AGENTS
+from agents.kinematic.scenario import Scenario
 from agents.loading import load_agent
 from agents.resolve import (
     DEFAULT_POLICY,
@@ -53,8 +55,8 @@ from agents.run_folder import versions
 from agents.training.monitor import Display
 from questsim.errors import INTERRUPTED, InputError, at_least
 from questsim.files import whole_file
-from questsim.joint_sensors import SENSOR_FPS
 from questsim.motion.motion import Motion
+from questsim.sensors import SENSOR_SETS
 
 FIGURES = {"accuracy.png": plot_accuracy, "plausibility.png": plot_plausibility}
 FILES: tuple[str, ...] = (
@@ -241,7 +243,7 @@ def _compute(work: Sequence[Work], args: CompareArgs, record: Record) -> None:
         left += len(record.missing(keys, each.names))
     whole, done, rate, began = max(left, 1), 0, 0.0, time.monotonic()
     estimates = KeptPoses()
-    with Display() as display, workers(args.threads, args.workers, args.ray) as mapper:
+    with Display() as display, processes(args.threads, args.workers, args.ray) as mapper:
         for number, each in enumerate(in_turn(work), start=1):
             name = each.plan.key(each.plan.rows[0])
             steps = compute(
@@ -281,6 +283,11 @@ class Planned:
     agent: Resolved
     scenarios: Sequence[Scenario]
 
+    def only(self, sensors: str) -> Planned:
+        """The agent in the scenarios of a sensor set alone; in none if there is no such set."""
+        devices = SENSOR_SETS.get(sensors, ())
+        return replace(self, scenarios=[each for each in self.scenarios if each.has(devices)])
+
 
 def plan(agents: Sequence[str], sensors: str | None) -> dict[str, Planned]:
     """The agents by name, each with the scenarios in which it is run.
@@ -288,16 +295,18 @@ def plan(agents: Sequence[str], sensors: str | None) -> dict[str, Planned]:
     Raises:
         InputError: an unknown agent or sensor set, or an agent that cannot use the sensors.
     """
-    devices = devices_named(sensors)
-    found = [resolve(name) for name in agents or shipped_agents()]
-    planned = {agent.name: Planned(agent, suiting(agent, devices)) for agent in found}
-    if agents:
-        for name, each in planned.items():
-            if not each.scenarios:
-                raise InputError(f"{name} does not support {sensors}", "--sensors", "leave it out")
+    resolved = [resolve(name) for name in agents or shipped_agents()]
+    every = {agent.name: Planned(agent, suiting(agent)) for agent in resolved}
+    if sensors is None:
+        return every
+    planned = {name: each.only(sensors) for name, each in every.items()}
+    for name, each in planned.items():
+        if agents and not each.scenarios:
+            raise unsupported(name, sensors, every[name].scenarios)
     planned = {name: each for name, each in planned.items() if each.scenarios}
     if not planned:
-        raise InputError(f"no agent supports {sensors} alone", "--sensors", "leave it out")
+        found = [scenario for each in every.values() for scenario in each.scenarios]
+        raise unsupported("no agent", sensors, found)
     return planned
 
 
@@ -322,9 +331,3 @@ def representative(planned: Mapping[str, Planned]) -> list[str]:
     """The agents that fit into a picture: the systems, one with physics, one policy."""
     always = (DEFAULT_SYSTEM + PHYSICS, DEFAULT_POLICY)
     return [n for n, each in planned.items() if n in always or not each.agent.simulated]
-
-
-def at_sensor_rate(motions: Sequence[Motion], count: int | None = None) -> list[Motion]:
-    """Motions at 60 Hz, in a fixed order; at most ``count``, all kinds in proportion."""
-    subset = choose_clips(motions, len(motions) if count is None else count)
-    return [motion.resampled(SENSOR_FPS) for motion in subset]

@@ -7,14 +7,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from agents.comparison.report import Costs, Row, row_of
-from agents.comparison.run import Job, Plan, device_signals, loaded, scored
-from agents.comparison.scenarios import Scenario
+from agents.comparison.run import Plan, scored
 from agents.evaluation.follow import evaluation_sim
 from agents.evaluation.rollout import env_config
 from agents.kinematic.causal import causal_clip
 from agents.kinematic.efficiency import mmac_a_frame, stream_kib
+from agents.kinematic.estimates import Job, device_signals, loaded
 from agents.kinematic.interface import KinematicSystem, UserBody
 from agents.kinematic.physics_behind import TRACKER
+from agents.kinematic.scenario import Scenario
 from agents.loading import load_agent
 from agents.policy.policy_agent import PolicyAgent
 from agents.resolve import Resolved
@@ -29,9 +30,7 @@ TIMED_FRAMES = 600
 
 def run(agent: str, scenario: Scenario, motions: Sequence[Motion], seed: int) -> Row:
     """Reconstruct all motions in one scenario and score them."""
-    jobs: list[Job] = [
-        (agent, scenario, motion, seed + i, None) for i, motion in enumerate(motions)
-    ]
+    jobs = [Job(agent, scenario, motion, seed + i) for i, motion in enumerate(motions)]
     return row_of(agent, scenario.name, scored(jobs), costs(agent, scenario, motions))
 
 
@@ -59,7 +58,7 @@ def streamed_ms(agent: str, scenario: Scenario, motions: Sequence[Motion]) -> fl
     seconds, frames = 0.0, 0
     for i, motion in enumerate(motions):
         system = loaded(agent, scenario.options)
-        sequence = device_signals((agent, scenario, motion, i, None))
+        sequence = device_signals(Job(agent, scenario, motion, i))
         system.reset(UserBody.of(motion), sequence.names)
         count = min(len(sequence), TIMED_FRAMES - frames)
         part = [sequence[t] for t in range(count)]

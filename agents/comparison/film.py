@@ -19,11 +19,12 @@ from PIL import Image
 from agents.comparison.behind import follow, shown_of
 from agents.comparison.conditions import Start, starts_of
 from agents.comparison.plots import KINDS
-from agents.comparison.run import reconstructed_all, suiting
-from agents.comparison.scenarios import Scenario
+from agents.comparison.run import suiting
 from agents.evaluation.rollout import env_config, roll_out
+from agents.kinematic.estimates import Job, estimated_together
 from agents.kinematic.first_answers import first_answers
 from agents.kinematic.physics_behind import performed
+from agents.kinematic.scenario import Scenario
 from agents.kinematic.without_physics import over_users_floor
 from agents.loading import load_agent
 from agents.resolve import base_of, resolve
@@ -192,9 +193,9 @@ def parts_of(
         rollouts = roll_out(loaded, clips, config, threads, begin_at=begin_at)
         devices = _in_words(SENSOR_SETS[loaded.needs.sensors])
         return [FilmFigure(agent, devices, policy, performed(rollout)) for rollout in rollouts]
-    scenario = scenario or shown_scenario(suiting(agent, None))
+    scenario = scenario or shown_scenario(suiting(agent))
     base = base_of(agent) or agent
-    poses = reconstructed_all([(base, scenario, motion, 0, None) for motion in motions])
+    poses = estimated_together([Job(base, scenario, motion) for motion in motions])
     devices, pairs = _in_words(scenario.devices), list(zip(poses, motions, strict=True))
     if base_of(agent) is None:
         return [FilmFigure(agent, devices, kinematic, over_users_floor(p, m)) for p, m in pairs]

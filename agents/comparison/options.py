@@ -8,7 +8,8 @@ from typing import Annotated
 
 from typing_extensions import Doc
 
-from agents.comparison.conditions import Noise, Start
+from agents.comparison.conditions import Start
+from agents.kinematic.device_faults import Noise
 from agents.resolve import ANY_AGENT
 
 

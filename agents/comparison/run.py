@@ -2,38 +2,29 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
-import torch
 
 from agents.comparison.behind import Shown, follow, shown_of
-from agents.comparison.conditions import Noise, Start, noisy, row_name, starts_of, with_noise
+from agents.comparison.conditions import Start, row_name, starts_of, with_noise
 from agents.comparison.record import Record
 from agents.comparison.report import RECORDING
-from agents.comparison.scenarios import PAPER_NAMES, WINDOW, Scenario, faulty, scenarios
 from agents.comparison.summary import Summary, summarise
 from agents.evaluation.mapping import Mapper
 from agents.evaluation.rollout import env_config, roll_out
+from agents.kinematic.device_faults import Noise
+from agents.kinematic.estimates import Job, estimated_together, loaded, scenarios_of
 from agents.kinematic.first_answers import first_answers
-from agents.kinematic.interface import KinematicSystem, Poses, UserBody
-from agents.kinematic.physics_behind import avatar_samples, reference_of, rollout_samples
-from agents.kinematic.recurrent.poser import RecurrentPoser
-from agents.kinematic.store import load_system
+from agents.kinematic.interface import Poses
+from agents.kinematic.physics_behind import avatar_samples, rollout_samples
+from agents.kinematic.scenario import PAPER_NAMES, Scenario
 from agents.loading import load_agent
 from agents.resolve import Resolved, resolve
-from agents.training.ray_session import ray_map
 from questsim.errors import InputError
-from questsim.extensions import load_extensions
-from questsim.joint_sensors import SENSOR_FPS, SensorSequence, readings
-from questsim.motion.clip import FPS, Clip
+from questsim.joint_sensors import SENSOR_FPS
+from questsim.motion.clip import FPS
 from questsim.motion.motion import Motion
 from questsim.motion.retarget import to_clip
 from questsim.pose_metrics import ENDS, pose_samples
@@ -44,80 +35,17 @@ CHUNK = 48
 """Clips that are simulated together."""
 
 
-def _begin_process() -> None:
-    # Ctrl-C is the parent's to answer.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    load_extensions()
-    torch.set_num_threads(1)
-
-
-@contextmanager
-def workers(count: int, on_ray: int = 0, ray: str | None = None) -> Iterator[Mapper]:
-    """A ``map`` on several processes with one thread each; results have the same bits.
-
-    Threads would not help: Python code takes most of a frame's time.
-
-    Args:
-        count: processes of this machine.
-        on_ray: Ray workers that are used instead, if any.
-        ray: address of their cluster.
-
-    Raises:
-        InputError: see ``ray_map``.
-    """
-    torch.set_num_threads(1)
-    if on_ray or ray is not None:
-        with ray_map(on_ray, ray) as mapper:
-            yield mapper
-        return
-    if count == 1:
-        yield map
-        return
-    with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin_process) as pool:
-        yield pool.map
-
-
-def devices_named(sensors: str | None) -> tuple[str, ...] | None:
-    """The devices of ``--sensors``; None if it is not given.
-
-    Raises:
-        InputError: there is no such set.
-    """
-    if sensors is None:
-        return None
-    if sensors not in SENSOR_SETS:
-        known = ", ".join(SENSOR_SETS)
-        raise InputError(f"unknown sensor set {sensors!r}", "--sensors", f"choose from {known}")
-    return SENSOR_SETS[sensors]
-
-
-def suiting(agent: str | Resolved, devices: Sequence[str] | None) -> list[Scenario]:
-    """The scenarios that an agent supports; with ``--sensors``, only those of its devices.
+def suiting(agent: str | Resolved) -> list[Scenario]:
+    """The scenarios that an agent supports.
 
     Raises:
         InputError: there is no such agent.
     """
     resolved = resolve(agent)
-    if resolved.torques:
-        sensors = load_agent(resolved).needs.sensors
-        name = PAPER_NAMES.get(sensors, sensors)
-        found: Sequence[Scenario] = [Scenario(name, SENSOR_SETS[sensors])]
-    else:
-        physics = resolved.kind == "physics"
-        found = scenarios(load_system(resolved.base if physics else resolved))
-        if physics:
-            found = [scenario for scenario in found if scenario.plain]
-    return [scenario for scenario in found if scenario.has(devices)]
-
-
-def sets_of(agent: str | Resolved) -> list[str]:
-    """Names of the sensor sets of the scenarios that an agent supports."""
-    used = [scenario.devices for scenario in suiting(agent, None)]
-    return [name for name, devices in SENSOR_SETS.items() if devices in used]
-
-
-Job = tuple[str, Scenario, Motion, int, Noise | None]
-"""Name of the agent or of the system behind it, scenario, motion, seed and fault of the devices."""
+    if not resolved.torques:
+        return scenarios_of(resolved)
+    sensors = load_agent(resolved).needs.sensors
+    return [Scenario(PAPER_NAMES.get(sensors, sensors), SENSOR_SETS[sensors])]
 
 
 @dataclass(frozen=True)
@@ -166,7 +94,7 @@ class Plan:
 
     def job(self, motion: Motion, seed: int) -> Job:
         """The work on one motion."""
-        return self.system or self.name, self.scenario, motion, seed, self.noise
+        return Job(self.system or self.name, self.scenario, motion, seed, self.noise)
 
     def key(self, row: str) -> str:
         """Name of a row in the record."""
@@ -214,8 +142,8 @@ def compute(
         for jobs, found in zip(together, mapper(_score, together), strict=True):
             for job, (poses, summary) in zip(jobs, found, strict=True):
                 if poses is not None and plan.kept:
-                    kept[job[2].name] = poses
-                record.add(key, job[2].name, summary)
+                    kept[job.motion.name] = poses
+                record.add(key, job.motion.name, summary)
             yield len(jobs)
         return
     # The same batches, whatever is missing: noise is drawn by the place in the batch.
@@ -259,27 +187,23 @@ def _parts(jobs: Sequence[Job]) -> Iterator[list[Job]]:
     """Jobs that a system does together, of motions of similar length."""
     if not jobs:
         return
-    size = 1 if jobs[0][0] == RECORDING else loaded(jobs[0][0], jobs[0][1].options).at_once
-    ordered = sorted(jobs, key=lambda job: len(job[2])) if size > 1 else jobs
+    size = (
+        1 if jobs[0].agent == RECORDING else loaded(jobs[0].agent, jobs[0].scenario.options).at_once
+    )
+    ordered = sorted(jobs, key=lambda job: len(job.motion)) if size > 1 else jobs
     for first in range(0, len(ordered), size):
         yield list(ordered[first : first + size])
 
 
 def _all_poses(jobs: Sequence[Job], mapper: Mapper, kept: dict[str, Poses]) -> list[Poses]:
     """The estimates of all jobs: those that are kept already, and the others."""
-    parts = list(_parts([job for job in jobs if job[2].name not in kept]))
-    for part, found in zip(parts, mapper(reconstructed_all, parts), strict=True):
-        kept.update({job[2].name: poses for job, poses in zip(part, found, strict=True)})
-    return [kept[job[2].name] for job in jobs]
+    parts = list(_parts([job for job in jobs if job.motion.name not in kept]))
+    for part, found in zip(parts, mapper(estimated_together, parts), strict=True):
+        kept.update({job.motion.name: poses for job, poses in zip(part, found, strict=True)})
+    return [kept[job.motion.name] for job in jobs]
 
 
 # -- a system ----------------------------------------------------------------------------------
-
-
-@lru_cache(maxsize=2)
-def loaded(agent: str, options: tuple[tuple[str, Any], ...]) -> KinematicSystem:
-    """A system with its options; the last two are kept."""
-    return load_system(agent, **dict(options))
 
 
 def scored(jobs: Sequence[Job]) -> list[Summary]:
@@ -287,26 +211,26 @@ def scored(jobs: Sequence[Job]) -> list[Summary]:
     found = {}
     for part in _parts(jobs):
         found.update(
-            {job[2].name: summary for job, (_, summary) in zip(part, _score(part), strict=True)}
+            {job.motion.name: summary for job, (_, summary) in zip(part, _score(part), strict=True)}
         )
-    return [found[job[2].name] for job in jobs]
+    return [found[job.motion.name] for job in jobs]
 
 
 def _score(jobs: list[Job]) -> list[tuple[Poses | None, Summary]]:
     """Estimates and sums of the clips of jobs of one row; of the recording itself only sums."""
-    if jobs[0][0] == RECORDING:
+    if jobs[0].agent == RECORDING:
         return [(None, _scored_itself(job)) for job in jobs]
-    found = reconstructed_all(jobs)
+    found = estimated_together(jobs)
     return [(poses, _scored(poses, job)) for poses, job in zip(found, jobs, strict=True)]
 
 
 def _scored(poses: Poses, job: Job) -> Summary:
-    return summarise(_samples(poses, job[2], job[1].ends), SENSOR_FPS)
+    return summarise(_samples(poses, job.motion, job.scenario.ends), SENSOR_FPS)
 
 
 def _scored_itself(job: Job) -> Summary:
     """Of the motions themselves: no errors, but their own skating, jitter and floating."""
-    motion = job[2]
+    motion = job.motion
     offsets = np.broadcast_to(motion.offsets, (len(motion), *motion.offsets.shape))
     poses = Poses(motion.root_position, motion.rotations, offsets)
     return summarise(_samples(poses, motion), SENSOR_FPS)
@@ -323,30 +247,6 @@ def _samples(poses: Poses, motion: Motion, ends: Sequence[int] = ENDS) -> dict[s
     return samples | {"root_force_bw": force}
 
 
-def reconstructed(job: Job) -> Poses:
-    """A system's estimate of a motion at 60 Hz, streamed or each frame from its window."""
-    return reconstructed_all([job])[0]
-
-
-def reconstructed_all(jobs: Sequence[Job]) -> list[Poses]:
-    """Like ``reconstructed``; all jobs are of one system, scenario and noise."""
-    agent, scenario = jobs[0][:2]
-    system, sequences = loaded(agent, scenario.options), [device_signals(job) for job in jobs]
-    bodies = [UserBody.of(job[2]) for job in jobs]
-    if not scenario.online:
-        return system.predict_many(sequences, bodies)
-    assert isinstance(system, RecurrentPoser)
-    pairs = zip(sequences, bodies, strict=True)
-    return [system.predict_windows(sequence, body, WINDOW) for sequence, body in pairs]
-
-
-def device_signals(job: Job) -> SensorSequence:
-    """The device signals, with the scenario's faults and the comparison's noise."""
-    _, scenario, motion, seed, noise = job
-    sequence = noisy(readings(motion, scenario.devices), noise, seed)
-    return faulty(sequence, scenario.faults, seed) if scenario.faults else sequence
-
-
 # -- with physics ------------------------------------------------------------------------------
 
 
@@ -357,7 +257,7 @@ def _behind(
     plan: Plan, jobs: Sequence[Job], threads: int, mapper: Mapper, poses: Sequence[Poses]
 ) -> Scored:
     """A system's poses on the avatar without physics, then with physics from each start."""
-    motions = [job[2] for job in jobs]
+    motions = [job.motion for job in jobs]
     shown = list(mapper(_shown, list(zip(poses, motions, strict=True))))
     truths = list(mapper(to_clip, motions))
     ends, rows = plan.scenario.ends, iter(plan.rows)
@@ -379,15 +279,10 @@ def _shown(pair: tuple[Poses, Motion]) -> Shown:
     return shown_of(*pair)
 
 
-def reference(job: Job) -> Clip:
-    """The avatar's reference: a system's poses retargeted to it."""
-    return reference_of(reconstructed(job), job[2])
-
-
 def _policy(plan: Plan, jobs: Sequence[Job], threads: int, mapper: Mapper) -> Scored:
     """A torque policy on the same motions, with the devices it was trained with."""
     assert plan.agent is not None
-    policy, clips = load_agent(plan.agent), list(mapper(to_clip, [job[2] for job in jobs]))
+    policy, clips = load_agent(plan.agent), list(mapper(to_clip, [job.motion for job in jobs]))
     for row, start in zip(plan.rows, plan.starts, strict=True):
         config = with_noise(env_config(policy), plan.noise)
         config = replace(config, starts=starts_of(start))

@@ -58,7 +58,7 @@ def worst_strips(rows: Sequence[Row], motions: Sequence[Motion], out: Path, thre
 
 def _strip(row: Row, motion: Motion, threads: int) -> np.ndarray:
     name, start = condition_of(row.scenario)
-    scenario = next(each for each in suiting(row.agent, None) if each.name == name)
+    scenario = next(each for each in suiting(row.agent) if each.name == name)
     (part,) = parts_of(row.agent, [motion], threads, start, scenario)
     user = to_clip(motion)
     frames = moments(part.clip, user)

@@ -30,7 +30,7 @@ from questsim.joint_sensors import (
 )
 from questsim.motion.checks import stature_of
 from questsim.motion.motion import Motion, joint_kinematics
-from questsim.sensors import DEVICES, SENSOR_SETS
+from questsim.sensors import DEVICES, sensor_set
 from questsim.skeleton import NUM_JOINTS
 
 MAX_GAP_S = 0.5
@@ -332,11 +332,7 @@ def device_names(sensors: str | Sequence[str]) -> tuple[str, ...]:
         InputError: no such set or device.
     """
     if isinstance(sensors, str):
-        if sensors not in SENSOR_SETS:
-            raise InputError(
-                f"unknown sensor set {sensors!r}", fix=f"choose from {', '.join(SENSOR_SETS)}"
-            )
-        return SENSOR_SETS[sensors]
+        return sensor_set(sensors)
     for name in sensors:
         if name not in DEVICES:
             raise InputError(f"unknown tracker {name!r}", fix=f"known are {', '.join(DEVICES)}")

@@ -18,11 +18,12 @@ import tyro
 from tyro.conf import Positional
 
 from agents.comparison.compare import FIGURES, compare
-from agents.comparison.conditions import Noise, Start
+from agents.comparison.conditions import Start
 from agents.comparison.drawn import DRAWN, PREDICTOR
 from agents.comparison.film import SHEET
 from agents.comparison.options import CompareArgs
 from agents.comparison.worst import FILE as WORST
+from agents.kinematic.device_faults import Noise
 from questsim.cli import guarded
 
 IMAGES = Path(__file__).parents[1] / "images"

@@ -16,8 +16,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import get_args
 
-from agents.comparison.conditions import NOISES, Start, row_name
+from agents.comparison.conditions import Start, row_name
 from agents.comparison.report import COSTS, LABELS, RECORDING, TABLES, Row, table
+from agents.kinematic.device_faults import NOISES
 from agents.resolve import base_of
 from agents.shipping.cards import SOURCE
 from questsim.cli import guarded

@@ -8,13 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from agents.comparison.compare import at_sensor_rate
-from agents.comparison.run import Job, devices_named, reconstructed, sets_of, workers
-from agents.comparison.scenarios import scenarios
+from agents.kinematic.estimates import Job, at_sensor_rate, estimated, scenario_with
 from agents.kinematic.physics_behind import on_own_body
-from agents.kinematic.store import load_system
-from agents.resolve import DEFAULT_SYSTEM
-from questsim.errors import InputError, at_least
+from agents.kinematic.processes import processes
+from agents.resolve import DEFAULT_SYSTEM, resolve_system
+from questsim.errors import at_least
 from questsim.motion.clip import Clip
 from questsim.motion.library import save_library
 from questsim.motion.motion import Motion
@@ -56,23 +54,18 @@ def estimate(args: EstimateArgs) -> None:
     """
     at_least(1, threads=args.threads, max_clips=args.max_clips)
     at_least(0, seed=args.seed)
-    devices = devices_named(args.sensors)
-    suited = [s for s in scenarios(load_system(args.agent)) if s.has(devices)]
-    if not suited:
-        sets = ", ".join(sets_of(args.agent))
-        what = f"{args.agent} does not support {args.sensors}"
-        raise InputError(what, "--sensors", f"choose from {sets}")
+    scenario = scenario_with(resolve_system(args.agent), args.sensors)
     check_library_path(args.out)
     motions = at_sensor_rate(load_recordings(args.motions, seed=args.seed), args.max_clips)
-    jobs = [(args.agent, suited[0], motion, 0, None) for motion in motions]
-    with workers(args.threads, args.workers, args.ray) as mapper:
+    jobs = [Job(args.agent, scenario, motion) for motion in motions]
+    with processes(args.threads, args.workers, args.ray) as mapper:
         done = list(mapper(_estimated, jobs))
     save_library(args.out, [motion for motion, _ in done], [clip for _, clip in done])
     print(f"{len(done)} motions, {sum(m.duration for m, _ in done):.0f} s, in {args.out}")
 
 
 def _estimated(job: Job) -> tuple[Motion, Clip]:
-    motion = on_own_body(reconstructed(job), job[2])
-    name = Path(job[0]).name
+    motion = on_own_body(estimated(job), job.motion)
+    name = Path(job.agent).name
     motion = replace(motion, name=f"{motion.name}@{name}", source=f"{name}: {motion.source}")
     return motion, to_clip(motion)
