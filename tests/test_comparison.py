@@ -30,9 +30,10 @@ from agents.kinematic.recurrent.poser import RecurrentPoser
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import save_system
 from agents.resolve import shipped_policies, shipped_systems
+from docs.figures.comparison_windows import by_frame, part
 from questsim.cli import main
 from questsim.errors import INTERRUPTED, InputError
-from questsim.joint_sensors import SensorSequence, readings
+from questsim.joint_sensors import readings
 from questsim.motion.checks import stature_of
 from questsim.motion.library import save_library
 from questsim.motion.retarget_back import to_motion
@@ -275,14 +276,33 @@ def test_the_window_protocol_forgets_what_is_older_than_the_window(tmp_path):
     whole = system.predict(seen, body)
     windowed = system.predict_windows(seen, body, 8)
     assert len(windowed) == len(whole) > 8
-    last = SensorSequence(seen.time_s[-8:], seen.names, *(
-        array[-8:] for array in (seen.position, seen.quat, seen.acceleration, seen.present)
-    ))  # fmt: skip
-    alone = system.predict(last, body)
+    alone = system.predict(part(seen, len(seen) - 8, 8), body)
     assert np.allclose(windowed.rotations[-1], alone.rotations[-1], atol=1e-5)
     assert np.allclose(windowed.root_position[-1], alone.root_position[-1], atol=1e-5)
     assert np.allclose(windowed.rotations[:8], whole.rotations[:8], atol=1e-5)
     assert not np.allclose(windowed.rotations[-1], whole.rotations[-1], atol=1e-5)
+
+
+def test_errors_in_a_window_are_those_of_its_own_frames():
+    motion = to_motion(swaying_clip(frames=50)).resampled(60.0)
+
+    class Growing:
+        """Knows the pose and makes the body larger by one percent a frame of the window."""
+
+        def predict(self, sequence, body):
+            at = np.round(sequence.time_s * 60.0).astype(int)
+            scale = 1.0 + 0.01 * np.arange(len(at))
+            offsets = body.offsets * scale[:, None, None]
+            return Poses(motion.root_position[at], motion.rotations[at], offsets)
+
+    scenario = scenarios(load_system("ik"))[0]
+    errors, count = by_frame(Growing(), scenario, [motion])  # type: ignore[arg-type]
+    joints = motion.forward_kinematics()[0]
+    away = np.linalg.norm(joints - joints[:, JOINTS.index("head")][:, None], axis=-1).mean(axis=1)
+    starts = range(0, len(motion) - 39, 20)
+    assert count == len(starts) >= 2 and errors[0] == pytest.approx(0.0, abs=1e-6)
+    want = [np.mean([away[start + k] for start in starts]) * k for k in range(40)]
+    assert errors == pytest.approx(np.array(want), abs=1e-6)
 
 
 def test_a_faulty_tracker_is_silent_for_a_hundred_frames_and_one_always_reports():
