@@ -14,7 +14,13 @@ from agents.comparison import run as run_module
 from agents.comparison.behind import body_of
 from agents.comparison.compare import FIGURES, FILES, CompareArgs, compare, plan, shipped_agents
 from agents.comparison.conditions import Start, condition_of, row_name
-from agents.comparison.drawn import _over_time, compared, predictor_over_time, predictor_pairs
+from agents.comparison.drawn import (
+    _over_time,
+    compared,
+    first_starts,
+    predictor_over_time,
+    predictor_pairs,
+)
 from agents.comparison.plots import KINDS, kind_of
 from agents.comparison.record import Record
 from agents.comparison.report import Costs, Row, row_of, table
@@ -295,7 +301,7 @@ def test_errors_in_a_window_are_those_of_its_own_frames():
             offsets = body.offsets * scale[:, None, None]
             return Poses(motion.root_position[at], motion.rotations[at], offsets)
 
-    scenario = scenarios(load_system("ik"))[0]
+    scenario = load_system("ik").scenarios[0]
     errors, count = by_frame(Growing(), scenario, [motion])  # type: ignore[arg-type]
     joints = motion.forward_kinematics()[0]
     away = np.linalg.norm(joints - joints[:, JOINTS.index("head")][:, None], axis=-1).mean(axis=1)
@@ -460,3 +466,8 @@ def test_rows_are_named_by_their_condition_and_read_again():
     ]
     ((row, _),) = compared([(row, []) for row in rows])
     assert row.scenario == "6, from standing"
+    noisy_row = Row("ik+physics", row_name("6", "white", "standing"), 0, {}, {}, None)
+    assert [r.scenario for r in first_starts([noisy_row, *rows])] == [
+        "4, from standing",
+        "6, from standing",
+    ]

@@ -21,6 +21,7 @@ from agents.comparison.drawn import (
     PREDICTOR,
     Scored,
     compared,
+    first_starts,
     predictor_over_time,
     predictor_pairs,
 )
@@ -138,10 +139,9 @@ def _write_all(scored: Sequence[Scored], context: dict[str, Any], out: Path) -> 
     records = context["agents"].items()
     context["agents"] = {name: record for name, record in records if name in there}
     write(rows, context, out)
-    exact = [row for row in rows if ", noise: " not in row.scenario] or rows
     for name, plot in FIGURES.items():
         with whole_file(out / name) as path:
-            plot(exact, path)
+            plot(first_starts(rows) or rows, path)
     for name, draw in DRAWN.items():
         with whole_file(out / name) as path:
             draw(scored, path)

@@ -58,6 +58,15 @@ def compared(scored: Sequence[Scored]) -> list[Scored]:
     return list(found.values())
 
 
+def first_starts(rows: Sequence[Row]) -> list[Row]:
+    """The rows without noise; where an agent has several starts, only the first one."""
+    found: dict[tuple[str, str], Row] = {}
+    for row in rows:
+        if ", noise: " not in row.scenario:
+            found.setdefault((row.agent, _scenario(row)), row)
+    return list(found.values())
+
+
 def _scenario(row: Row) -> str:
     return condition_of(row.scenario)[0]
 

@@ -28,7 +28,7 @@ from questsim.files import whole_file
 SHORT_NAMES = ("mpjpe_cm", "h_pe_cm", "pos_cm", "rot_deg", "foot_skate_cm_s", "floating_cm",
                "root_force_bw", "success_percent")  # fmt: skip
 SHORT_SCENARIOS = ("60 Hz", "6", "4", "HMD", "HMD+3IMU", "H")
-NOT_SHORT = ("lgsik-lengths", "questsim-now")
+NOT_SHORT = ("lgsik-lengths",)
 DOCS = Path(__file__).parents[1]
 PAGES = (DOCS / "comparison.md", DOCS / "results.md")
 NOISE_NAMES = ("mpjpe_cm", "jitter_100_m_s3", "foot_skate_cm_s", "success_percent")
