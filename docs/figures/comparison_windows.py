@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from agents.comparison.compare import at_sensor_rate
+from agents.kinematic.estimates import at_sensor_rate
 from agents.kinematic.interface import KinematicSystem, UserBody
 from agents.kinematic.scenario import WINDOW, Scenario
 from agents.kinematic.store import load_system
