@@ -10,11 +10,12 @@ level ground nothing changes.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from envs.kernel_arguments import Episodes, Ground, ReferencePoses, Target
-from envs.leg_ik import Legs, bend_leg, distance, hip_position, rotated
+from envs.leg_ik import FootGoal, Legs, Pose, bend_leg, distance, hip_position, rotated
 from envs.lookups import ground_at, height_at, placed
 from questsim.compiled import jit
 from questsim.motion.clip import FPS
@@ -29,13 +30,52 @@ _STRAIGHT = 0.99
 """Legs are stretched up to this share of their length, or as far as the clip stretches them."""
 
 
+class _Site(NamedTuple):
+    """Where an avatar plays its clip, and how.
+
+    Attributes:
+        place: ``(4,)`` of the clip, see ``Episodes``.
+        surface, grid: the terrain, see ``Ground``.
+        scale: of body and clip.
+        walking: as of ``fill``.
+    """
+
+    place: np.ndarray
+    surface: np.ndarray
+    grid: np.ndarray
+    scale: float
+    walking: float
+
+
+class _Lift(NamedTuple):
+    """How the ground under the pelvis moves a clip.
+
+    Attributes:
+        height: metres.
+        rise: its rate in m/s.
+    """
+
+    height: float
+    rise: float
+
+
+class _Between(NamedTuple):
+    """The rows between which a foot swings, and the height of the ground at both stances."""
+
+    first: int
+    last: int
+    from_m: float
+    to_m: float
+
+
 @jit
-def _under(place, surface, grid, position, quat, point, scale):
+def _under(site, position, quat, point):
     """A sole point above the level floor (x, y, z), and the height of the ground there."""
+    scale = site.scale
     x, y, z = rotated(quat, point[0] * scale, point[1] * scale, point[2] * scale)
     x, y, z = x + position[0], y + position[1], z + position[2]
-    world_x, world_y = placed(place, x, y)
-    return x, y, z, height_at(surface, grid, world_x, world_y)
+    world_x, world_y = placed(site.place, x, y)
+    return x, y, z, height_at(site.surface, site.grid, world_x, world_y)
 
 
 @jit
@@ -50,20 +90,19 @@ def _middle(position, quat, soles, scale):
 
 
 @jit
-def _stance(place, surface, grid, position, quat, soles, scale):
+def _stance(site, position, quat, soles):
     """Height and slope of the ground under a stance foot.
 
     Args:
-        place: place of the clip.
-        surface, grid: the terrain, see ``fill``.
+        site: where the avatar is.
         position, quat: ``(3,)`` metres and ``(4,)`` of the foot on the level floor, of the 1.75 m
             body.
         soles: ``(4, 3)`` points of its sole.
-        scale: of body and clip.
 
     Returns:
         Height of the ground, and its slopes along x and y of the clip.
     """
+    scale = site.scale
     q = (quat[0], quat[1], quat[2], quat[3])
     ahead_x, ahead_y, _ = rotated(q, 1.0, 0.0, 0.0)
     length = math.sqrt(ahead_x * ahead_x + ahead_y * ahead_y)
@@ -72,10 +111,10 @@ def _stance(place, surface, grid, position, quat, soles, scale):
     ahead_x, ahead_y = ahead_x / length, ahead_y / length
     at = (position[0] * scale, position[1] * scale, position[2] * scale)
     points = (
-        _under(place, surface, grid, at, q, soles[0], scale),
-        _under(place, surface, grid, at, q, soles[1], scale),
-        _under(place, surface, grid, at, q, soles[2], scale),
-        _under(place, surface, grid, at, q, soles[3], scale),
+        _under(site, at, q, soles[0]),
+        _under(site, at, q, soles[1]),
+        _under(site, at, q, soles[2]),
+        _under(site, at, q, soles[3]),
     )
     middle_x, middle_y, mean = 0.0, 0.0, 0.0
     for x, y, _, height in points:
@@ -112,17 +151,17 @@ def _smooth(phase):
 
 
 @jit
-def _obstacle(foot, first, last, from_m, to_m, place, surface, grid, soles, scale, ref):
+def _obstacle(foot, between, site, soles, reference):
     """Greatest penetration of a swing foot that is lifted from one stance height to the next.
 
     Args:
         foot: link of the foot.
-        first, last: rows between which it swings.
-        from_m, to_m: height of the ground at the stances before and after.
-        place, surface, grid, soles, scale: as of ``_stance``.
-        ref: places and orientations of the links in all rows.
+        between: rows and heights of the stances.
+        site, soles: as of ``_stance``.
+        reference: poses of all rows.
     """
-    position, quat = ref
+    position, quat, scale = reference.position, reference.quat, site.scale
+    first, last, from_m, to_m = between
     most = 0.0
     for k in range(1, _LOOKS + 1):
         row = first + k * (last - first) // (_LOOKS + 1)
@@ -133,30 +172,31 @@ def _obstacle(foot, first, last, from_m, to_m, place, surface, grid, soles, scal
             position[row, foot, 2] * scale,
         )  # fmt: skip
         for point in range(soles.shape[0]):
-            _, _, z, height = _under(place, surface, grid, at, q, soles[point], scale)
+            _, _, z, height = _under(site, at, q, soles[point])
             most = max(most, height - z - from_m - share * (to_m - from_m) + CLEARANCE_M * scale)
     return most
 
 
 @jit
-def _swing(leg, row, place, surface, grid, soles, scale, steps, ref, from_m, to_m):
+def _swing(leg, row, site, soles, reference, from_m, to_m):
     """A foot between two stances.
 
     Args:
-        leg, row, place, surface, grid, soles, scale, steps, ref: as of ``_bearing``.
+        leg, row, site, soles, reference: as of ``_bearing``.
         from_m, to_m: height of the ground at the stances before and after.
 
     Returns:
         Share of stance, 0 to 1; the vertical velocity in m/s; the share of the way to the next
         stance; the height in metres by which obstacles raise the foot.
     """
+    steps = reference.steps
     first, last = steps.first[row, leg], steps.last[row, leg]
     phase = (row - first) / (last - first)
     gone, faster = _smooth(phase)
     share, raised, more = 1.0, 0.0, 0.0
     if steps.swings[row, leg]:
-        foot = 3 + 3 * leg
-        top = _obstacle(foot, first, last, from_m, to_m, place, surface, grid, soles, scale, ref)
+        between = _Between(first, last, from_m, to_m)
+        top = _obstacle(3 + 3 * leg, between, site, soles, reference)
         # Rise early and sink late: an obstacle may be at either end of the swing.
         aside = 2.0 * phase - 1.0
         raised = top * (1.0 - aside**4)
@@ -166,48 +206,39 @@ def _swing(leg, row, place, surface, grid, soles, scale, steps, ref, from_m, to_
 
 
 @jit
-def _bearing(
-    leg, row, place, surface, grid, soles, scale, steps, ref, lift, pelvis_rise, walking
-):  # fmt: skip
+def _bearing(leg, row, site, soles, reference, lift):
     """Adapt a foot to the ground.
 
     Args:
         leg: 0 or 1.
         row: of the reference.
-        place, surface, grid, soles, scale: as of ``_stance``.
-        steps: ``Footsteps`` of all rows.
-        ref: places and orientations of the links in all rows.
-        lift: of the clip, metres.
-        pelvis_rise: of the clip, m/s.
-        walking: as of ``fill``.
+        site, soles: as of ``_stance``.
+        reference: poses of all rows.
+        lift: of the clip.
 
     Returns:
         Share of stance, 0 to 1; the ankle's new x, y and z before the clip is lifted; the turn as a
         quaternion; the vertical velocity in m/s that is added to the clip's own.
     """
-    position, quat = ref
-    foot = 3 + 3 * leg
+    position, quat, steps = reference.position, reference.quat, reference.steps
+    scale, walking, foot = site.scale, site.walking, 3 + 3 * leg
     before, after = steps.before[row, leg], steps.after[row, leg]
     if max(walking, steps.stays[before, leg], steps.stays[after, leg]) == 0.0:
         x, y, z = position[row, foot, 0], position[row, foot, 1], position[row, foot, 2]
-        return 0.0, x * scale, y * scale, z * scale, (1.0, 0.0, 0.0, 0.0), pelvis_rise
-    height, lean_x, lean_y = _stance(
-        place, surface, grid, position[before, foot], quat[before, foot], soles, scale
-    )
+        return 0.0, x * scale, y * scale, z * scale, (1.0, 0.0, 0.0, 0.0), lift.rise
+    height, lean_x, lean_y = _stance(site, position[before, foot], quat[before, foot], soles)
     share, rise, firm = 1.0, 0.0, max(walking, steps.stays[before, leg])
     if before != after:
-        to = _stance(place, surface, grid, position[after, foot], quat[after, foot], soles, scale)
-        share, rise, gone, raised = _swing(
-            leg, row, place, surface, grid, soles, scale, steps, ref, height, to[0]
-        )
+        to = _stance(site, position[after, foot], quat[after, foot], soles)
+        share, rise, gone, raised = _swing(leg, row, site, soles, reference, height, to[0])
         height += gone * (to[0] - height) + raised
         lean_x += gone * (to[1] - lean_x)
         lean_y += gone * (to[2] - lean_y)
         firm += gone * (max(walking, steps.stays[after, leg]) - firm)
     share *= firm
-    height = lift + firm * (height - lift)
+    height = lift.height + firm * (height - lift.height)
     lean_x, lean_y = firm * lean_x, firm * lean_y
-    rise = pelvis_rise + firm * (rise - pelvis_rise)
+    rise = lift.rise + firm * (rise - lift.rise)
     q = (quat[row, foot, 0], quat[row, foot, 1], quat[row, foot, 2], quat[row, foot, 3])
     middle_x, middle_y = _middle(position[row, foot], q, soles, scale)
     # The ground's normal leans against the slope; the foot turns with it.
@@ -221,22 +252,23 @@ def _bearing(
         turn, position[row, foot, 0] * scale - middle_x, position[row, foot, 1] * scale - middle_y,
         position[row, foot, 2] * scale,
     )  # fmt: skip
-    return share, middle_x + x, middle_y + y, height + z - lift, turn, rise
+    return share, middle_x + x, middle_y + y, height + z - lift.height, turn, rise
 
 
 @jit
-def _on_feet(
-    row, place, surface, grid, legs, scale, lift, rise, walking, steps, ref, angles, position,
-    quat, rises,
-):  # fmt: skip
-    """Put the feet of a pose on the ground. The pose is in the clip's own coordinates."""
+def _on_feet(row, site, legs, reference, lift, pose, rises):
+    """Put the feet of a pose on the ground. The pose is in the clip's own coordinates.
+
+    Args:
+        row, site, reference, lift: as of ``_bearing``.
+        legs: of the 1.75 m body.
+        pose: to change.
+        rises: ``(16,)`` vertical velocities of the links in m/s, to fill.
+    """
+    scale, position, quat = site.scale, pose.position, pose.quat
     pelvis = (quat[0, 0], quat[0, 1], quat[0, 2], quat[0, 3])
-    left = _bearing(
-        0, row, place, surface, grid, legs.soles[0], scale, steps, ref, lift, rise, walking
-    )
-    right = _bearing(
-        1, row, place, surface, grid, legs.soles[1], scale, steps, ref, lift, rise, walking
-    )
+    left = _bearing(0, row, site, legs.soles[0], reference, lift)
+    right = _bearing(1, row, site, legs.soles[1], reference, lift)
     straight = _STRAIGHT * scale * (legs.length[0] + legs.length[1])
     drop = 0.0
     for leg in range(2):
@@ -248,22 +280,23 @@ def _on_feet(
         drop = max(drop, bearing[0] * (z - bearing[3] - down))
     for link in range(position.shape[0]):
         position[link, 2] -= drop
-        rises[link] = rise
+        rises[link] = lift.rise
     for leg in range(2):
         _, ankle_x, ankle_y, ankle_z, turn, own = left if leg == 0 else right
         hip, link = hip_position(leg, legs, scale, pelvis, position[0]), 3 + 3 * leg
         before = distance(position[link], hip)
         foot = (quat[link, 0], quat[link, 1], quat[link, 2], quat[link, 3])
-        ankle = (ankle_x, ankle_y, ankle_z)
-        bend_leg(leg, legs, scale, pelvis, hip, ankle, before, turn, foot, angles, position, quat)
+        goal = FootGoal(hip, (ankle_x, ankle_y, ankle_z), before, turn, foot)
+        bend_leg(leg, legs, scale, pelvis, goal, pose)
         # The velocity of a foot is its own, not the pelvis's.
         rises[link] = own
-        rises[link - 1] = 0.5 * (own + rise)
+        rises[link - 1] = 0.5 * (own + lift.rise)
 
 
 @jit
-def _copy(reference, row, scale, angles, position, quat):
+def _copy(reference, row, scale, pose):
     """Copy a row of the reference, scaled, to a pose."""
+    angles, position, quat = pose
     for j in range(angles.shape[0]):
         angles[j] = reference.qpos[row, 7 + j]
     for b in range(position.shape[0]):
@@ -299,25 +332,24 @@ def fill(
     level = ground.height.size == 1
     frame, begin, end, place = episodes.frame, episodes.begin, episodes.end, episodes.place
     angles, position, quat, rises = target.angles, target.position, target.quat, target.rise
-    qpos, ref = reference.qpos, (reference.position, reference.quat)
+    qpos = reference.qpos
     for index in range(first, last):
         i = ids[index]
         scale = episodes.ratio[i]
+        site = _Site(place[i], ground.surface, ground.grid, scale, walking)  # type: ignore[arg-type]
         for k in range(offsets.shape[0]):
             row = min(frame[i] + offsets[k], end[i] - 1)
             before = max(row - 1, begin[i])
-            _copy(reference, row, scale, angles[i, k], position[i, k], quat[i, k])
+            pose = Pose(angles[i, k], position[i, k], quat[i, k])
+            _copy(reference, row, scale, pose)
             rises[i, k] = 0.0
-            lift, rise = 0.0, 0.0
+            lift = 0.0
             if not level:
                 x, y = placed(place[i], qpos[row, 0] * scale, qpos[row, 1] * scale)
                 lift = ground_at(ground.height, ground.grid, x, y)
                 x, y = placed(place[i], qpos[before, 0] * scale, qpos[before, 1] * scale)
                 rise = FPS * (lift - ground_at(ground.height, ground.grid, x, y))
-                _on_feet(
-                    row, place[i], ground.surface, ground.grid, legs, scale, lift, rise, walking,
-                    reference.steps, ref, angles[i, k], position[i, k], quat[i, k], rises[i, k],
-                )  # fmt: skip
+                _on_feet(row, site, legs, reference, _Lift(lift, rise), pose, rises[i, k])
             for b in range(position.shape[2]):
                 x, y = placed(place[i], position[i, k, b, 0], position[i, k, b, 1])
                 position[i, k, b, 0], position[i, k, b, 1] = x, y

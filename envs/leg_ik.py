@@ -38,6 +38,35 @@ class Legs(NamedTuple):
     range: np.ndarray
 
 
+class Pose(NamedTuple):
+    """A pose of the avatar.
+
+    Attributes:
+        angles: ``(33,)`` rad; position: ``(16, 3)``, quat: ``(16, 4)`` of the links.
+    """
+
+    angles: np.ndarray
+    position: np.ndarray
+    quat: np.ndarray
+
+
+class FootGoal(NamedTuple):
+    """Where a foot has to be.
+
+    Attributes:
+        hip, ankle: target positions.
+        before: distance from hip to ankle in the clip.
+        turn: rotation of the foot by the ground.
+        foot: quaternion of the foot in the clip.
+    """
+
+    hip: tuple[float, float, float]
+    ankle: tuple[float, float, float]
+    before: float
+    turn: tuple[float, float, float, float]
+    foot: tuple[float, float, float, float]
+
+
 @lru_cache(maxsize=1)
 def legs() -> Legs:
     """The legs of ``assets/mjcf/humanoid.xml``.
@@ -154,7 +183,7 @@ def distance(a, b):
 
 
 @jit
-def bend_leg(leg, legs, scale, pelvis, hip, ankle, before, turn, foot, angles, position, quat):
+def bend_leg(leg, legs, scale, pelvis, goal, pose):
     """Solve a leg and write its hinges, places and orientations.
 
     Args:
@@ -162,12 +191,11 @@ def bend_leg(leg, legs, scale, pelvis, hip, ankle, before, turn, foot, angles, p
         legs: of the 1.75 m body.
         scale: of the body.
         pelvis: quaternion.
-        hip, ankle: their target positions.
-        before: distance from hip to ankle in the clip.
-        turn: rotation of the foot by the ground.
-        foot: quaternion of the foot in the clip.
-        angles, position, quat: ``(33,)``, ``(16, 3)``, ``(16, 4)``, of the clip, to change.
+        goal: ``FootGoal``.
+        pose: ``Pose`` of the clip, to change.
     """
+    hip, ankle, before, turn, foot = goal
+    angles, position, quat = pose
     first, link = 6 * leg, 1 + 3 * leg
     thigh, shin = legs.length[0] * scale, legs.length[1] * scale
     knee = angles[first + 3] + _knee_turn(before, distance(ankle, hip), thigh, shin)

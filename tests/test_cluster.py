@@ -25,7 +25,7 @@ from agents.kinematic.registry import AGENTS
 from agents.kinematic.team import RayTeam, SharedStage, part_of
 from agents.run_folder import versions
 from agents.training.make_ppo import make_ppo
-from agents.training.peers import PeerLostError, average_gradients, join
+from agents.training.peers import PeerLostError, join
 from agents.training.presets import StageConfig
 from agents.training.ray_session import check_versions, ray_cluster
 from agents.training.rollout_worker import BatchSpec, RolloutWorker, weights_of
@@ -198,7 +198,7 @@ def test_peers_average_like_one_worker_with_all_samples_and_notice_a_death(tmp_p
         own = values[rank]
         parameter = torch.nn.Parameter(torch.zeros(50))
         parameter.grad = own.clone()
-        average_gradients(peers, [parameter])
+        peers.average_gradients([parameter])
         mean, std = spare.mean_and_std(own)
         found[rank] = parameter.grad, mean, std, torch.stack(peers.each(own))
         if rank == 0:

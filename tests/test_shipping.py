@@ -18,7 +18,7 @@ from agents.licence import licence_of, strictest
 from agents.policy.checkpoint import CARD_FILE, CRITIC_FILE, load_policy, save_policy
 from agents.policy.policy_agent import PolicyAgent, Tracker, new_policy
 from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
-from agents.run_folder import start_run
+from agents.run_folder import note_resume, start_run
 from agents.shipping import ship as shipping
 from agents.shipping.provenance import StagePart, _joined, options_of
 from agents.shipping.ship import ShipArgs, check_name, ship
@@ -198,6 +198,21 @@ def test_student_of_another_runs_teacher_has_both_licences_and_commands(run, tmp
     assert (
         "--sensors H --stage student --minutes 30 --out runs/NAME --teacher runs/TEACHER\n"
     ) in card
+
+
+def test_a_student_that_a_resume_gave_another_teacher_names_both_and_their_licences(run, tmp_path):
+    record, runs = data(), tmp_path / "others" / "mine"  # a folder of the same name as ``run``
+    add_stage(new_run(runs, record), "teacher", record, 2_000_000, 20.0)
+    options = {"stage": "student", "motions": "synthetic", "out": tmp_path / "s"}
+    student = new_run(tmp_path / "s", record, stage="student", teacher=run)
+    note_resume(student, TrainArgs(teacher=runs, resume=True, **options), PRESETS["cpu"])
+    add_stage(student, "student", record, 1_000_000, 20.0)
+    ship(ShipArgs(student, "taught", into=tmp_path))
+    card = card_of(tmp_path / "taught")
+    assert "| licence | CC-BY-NC-4.0 |" in card
+    assert "student 1.5 M steps, 30 min, first taught by `runs/mine`" in card
+    assert "--minutes 180 --out runs/mine\n" in card  # of the first teacher
+    assert "--stage student --minutes 30 --out runs/NAME --teacher runs/TEACHER\n" in card
 
 
 def test_student_of_a_shipped_teacher_repeats_how_that_was_trained(run, tmp_path, monkeypatch):

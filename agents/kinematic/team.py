@@ -7,9 +7,7 @@ before the step, and a worker's random numbers depend only on the seed, its numb
 
 from __future__ import annotations
 
-import io
 import os
-import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -23,13 +21,22 @@ from agents.kinematic.data import MotionBank
 from agents.kinematic.learning import Learning, Task
 from agents.kinematic.registry import AGENTS
 from agents.run_folder import versions
-from agents.training.peers import ALONE, Meeting, PeerLostError, Peers, average_gradients, join
+from agents.training.peers import (
+    ALONE,
+    Meeting,
+    PeerLostError,
+    Peers,
+    join,
+    packed,
+    unpacked,
+)
 from agents.training.ray_session import (
     check_head,
     check_room,
     check_versions,
     first_error,
-    on_one_machine,
+    meeting_file,
+    own_host,
 )
 from questsim.errors import InputError
 from questsim.motion.motion import Motion
@@ -65,7 +72,7 @@ class Descent:
     def average(self, loss: Tensor, peers: Peers) -> Tensor:
         """Average loss and gradients over all workers; returns the loss."""
         mean = peers.mean(loss)
-        average_gradients(peers, self.task.trained)
+        peers.average_gradients(self.task.trained)
         return mean
 
     def step(self, rate: float) -> None:
@@ -78,14 +85,12 @@ class Descent:
 
     def packed(self) -> bytes:
         """The state of networks and optimiser."""
-        file = io.BytesIO()
         state = {"module": self.module.state_dict(), "optimiser": self.optimiser.state_dict()}
-        torch.save(state, file)
-        return file.getvalue()
+        return packed(state)
 
-    def load(self, packed: bytes) -> None:
+    def load(self, given: bytes) -> None:
         """Take over the state from ``packed``."""
-        state = torch.load(io.BytesIO(packed), weights_only=True)
+        state = unpacked(given)
         self.module.load_state_dict(state["module"])
         self.optimiser.load_state_dict(state["optimiser"])
 
@@ -171,13 +176,13 @@ class GradientWorker:
         """Process id."""
         return os.getpid()
 
-    def load(self, packed: bytes) -> None:
+    def load(self, given: bytes) -> None:
         """See ``Descent.load``."""
-        self._descent.load(packed)
+        self._descent.load(given)
 
     def join(self, address: tuple[str, int], count: int) -> None:
         """Connect to the others."""
-        (self._peers,) = join(address, _host(), self._rank, count, 1)
+        (self._peers,) = join(address, own_host(), self._rank, count, 1)
 
     def step(self, rate: float, number: int) -> None:
         """One gradient step, in step with the others."""
@@ -215,7 +220,7 @@ class RayTeam:
         found = first_error([actor.versions.remote() for actor in self._actors])
         for number, each in enumerate(found, 1):
             check_versions(each, versions(), f"worker {number}")
-        self._peers: Peers = ALONE
+        self._peers: Peers | None = None  # until the workers are connected
         self._running: list[Any] = []
         self._next = 0.0, 0
 
@@ -224,9 +229,9 @@ class RayTeam:
 
     def sync(self, descent: Descent) -> None:
         """Give them the state of networks and optimiser."""
-        packed = self._ray.put(descent.packed())
+        state = self._ray.put(descent.packed())
         for actor in self._actors:
-            actor.load.remote(packed)
+            actor.load.remote(state)
 
     def begin(self, descent: Descent, rate: float, step: int) -> None:
         """Let them begin a gradient step."""
@@ -244,6 +249,7 @@ class RayTeam:
             try:
                 if not self._running:
                     self._start(descent)
+                assert self._peers is not None
                 return descent.average(loss, self._peers)
             except PeerLostError:
                 check_head()
@@ -255,19 +261,19 @@ class RayTeam:
 
     def _replace_all(self) -> None:
         self.close()
-        self._actors, self._running, self._peers = self._make(), [], ALONE
+        self._actors, self._running, self._peers = self._make(), [], None
 
     def _start(self, descent: Descent) -> None:
-        if self._peers is ALONE:
+        if self._peers is None:
             self.sync(descent)
             self._connect()
         self._running = [actor.step.remote(*self._next) for actor in self._actors]
 
     def _connect(self) -> None:
-        with tempfile.TemporaryDirectory(prefix="questsim-") as folder:
-            meeting = Meeting(os.path.join(folder, "peers") if on_one_machine() else None, _host())
+        with meeting_file() as file:
+            meeting = Meeting(file, own_host())
             calls = [actor.join.remote(meeting.address, self._count) for actor in self._actors]
-            (self._peers,) = join(meeting.address, _host(), 0, self._count, 1, meeting)
+            (self._peers,) = join(meeting.address, own_host(), 0, self._count, 1, meeting)
             first_error(calls)
 
     def close(self) -> None:
@@ -289,9 +295,3 @@ def part_of(learning: Learning, count: int) -> Learning:
             f"take a divisor of {learning.batch}, or change stages.NAME.batch with --set",
         )
     return replace(learning, batch=learning.batch // count)
-
-
-def _host() -> str:
-    import ray
-
-    return ray.util.get_node_ip_address()

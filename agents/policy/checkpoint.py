@@ -144,6 +144,27 @@ def _difference(field: str, found: Any, expected: Any) -> str:
     return f"{field} is {found!r}, this version reads {expected!r}"
 
 
+def needs_of(folder: Path) -> Needs:
+    """What the policy of a checkpoint folder needs of its environment; its weights are not read.
+
+    Raises:
+        InputError: see ``read_card``; or the description is incomplete.
+    """
+    card = read_card(folder)
+    try:
+        return _needs(card, folder / CARD_FILE)
+    except (KeyError, TypeError) as error:
+        raise _incomplete(error, folder) from error
+
+
+def _needs(card: dict[str, Any], path: Path) -> Needs:
+    return Needs(**{**card["needs"], "body": _own_body(card, path)})
+
+
+def _incomplete(error: Exception, folder: Path) -> InputError:
+    return InputError(f"the description is incomplete ({error})", folder / CARD_FILE)
+
+
 def load_policy(folder: Path) -> PolicyAgent:
     """The agent of a checkpoint folder.
 
@@ -161,10 +182,9 @@ def load_policy(folder: Path) -> PolicyAgent:
         check_sizes("observation", (1, *(b for _, b in blocks.values())))
         if any(not 0 <= a < b for a, b in blocks.values()):
             raise ValueError("a block of the observation is empty")
-        own = _own_body(card, folder / CARD_FILE)
-        needs = Needs(**{**card["needs"], "body": own})
+        needs = _needs(card, folder / CARD_FILE)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"the description is incomplete ({error})", folder / CARD_FILE) from error
+        raise _incomplete(error, folder) from error
     if spec.activation not in ACTIVATIONS:
         raise InputError(f"unknown activation {spec.activation!r}", folder / CARD_FILE)
     policy = new_policy(spec, Layout(blocks), hinges=len(card["joints"]))

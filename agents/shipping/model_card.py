@@ -226,6 +226,7 @@ def _facts(agent: PolicyAgent, weights_bytes: int) -> list[str]:
     training, spec = agent.card["training"], agent.policy.spec
     stages = "; ".join(
         f"{stage['stage']} {stage['steps'] / 1e6:.1f} M steps, {time_text(stage['minutes'])}"
+        + "".join(f", first taught by `{name}`" for name in stage.get("teachers", ())[:-1])
         for stage in training["stages"]
     )
     whole = time_text(sum(stage["minutes"] for stage in training["stages"]))

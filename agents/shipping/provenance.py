@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from math import ceil
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any
 
 from agents.licence import strictest
 from agents.policy.checkpoint import CARD_FILE, find_policy, find_teacher, read_card
+from agents.resolve import policy_folder
 from agents.run_folder import RECORD, default_of, plain, read_run
 from agents.training.options import TrainArgs
 from agents.training.specialists import read_specialist
@@ -62,10 +63,10 @@ def provenance(folder: Path) -> dict[str, Any]:
         folder: the policy's folder, inside its run.
 
     Returns:
-        ``commands``, one per stage; ``stages``, each with ``stage``, ``steps``, ``minutes`` and
-        ``motions``, the policy's own last; ``ground`` of the training, ``flat`` by default;
-        whether it was ``pushed``; ``licence`` of the weights, from the motions of all stages;
-        ``versions`` of the packages.
+        ``commands``, one per stage; ``stages``, each with ``stage``, ``steps``, ``minutes``,
+        ``motions`` and, if a resume named another one, ``teachers``, the policy's own last;
+        ``ground`` of the training, ``flat`` by default; whether it was ``pushed``; ``licence`` of
+        the weights, from the motions of all stages; ``versions`` of the packages.
 
     Raises:
         InputError: the policy is not inside a run, or an earlier stage is missing.
@@ -80,6 +81,7 @@ def provenance(folder: Path) -> dict[str, Any]:
                 "minutes": part.minutes,
                 "motions": portable(part.training["motions"]),
             }
+            | _several_teachers(part, parts)
             for part in parts
         ],
         "ground": read_run(parts[-1].run)["args"].get("env") or "flat",
@@ -125,15 +127,11 @@ def _stages(folder: Path, training: dict[str, Any]) -> list[StagePart]:
         return _shipped_stages(folder, training)
     run = run_of(folder)
     stage, record = training["stage"], read_run(run)
-    start = _origin(record, stage, "start")
-    before: list[tuple[Path, dict[str, Any]]] = []
+    start = _start(record, stage)
+    before: list[Origin] = []
     if stage == "student":
-        own = (
-            find_teacher(run / "teacher") if not recorded_option(record, stage, "teacher") else None
-        )
-        taught = (own, _training(own)) if own else _origin(record, stage, "teacher")
-        assert taught is not None
-        before += [*_specialists(record, stage), taught]
+        special = [origin for _, origin in _specialists(record)]
+        before += [*special, *_teachers(run, record)]
     if start:
         before.append(start)
     elif stage == "finetune":
@@ -146,52 +144,63 @@ def _stages(folder: Path, training: dict[str, Any]) -> list[StagePart]:
     return [*earlier, StagePart(run, training, end["steps"], end["minutes"])]
 
 
-def _origin(
-    record: Mapping[str, Any], stage: str, option: str
-) -> tuple[Path, dict[str, Any]] | None:
-    """The policy named by an option of a run, and its description at that time."""
-    entry = _entry_with(record, stage, option)
-    if entry is None:
-        return None
-    name = entry["args"][option]
-    teacher = option == "teacher" or stage == "teacher"
-    folder = find_teacher(name) if teacher else find_policy(name)
-    return folder, entry.get("behind", {}).get(option) or _training(folder)
+Origin = tuple[Path, dict[str, Any]]
+"""The folder of a policy on which a stage builds, and its description at that time."""
 
 
-def _specialists(record: Mapping[str, Any], stage: str) -> list[tuple[Path, dict[str, Any]]]:
-    """The specialists of a student's run, and their descriptions at that time."""
-    entry = _entry_with(record, stage, "specialists")
-    if entry is None:
-        return []
-    found = []
-    for text in entry["args"]["specialists"]:
-        folder = find_teacher(read_specialist(text).where)
-        found.append((folder, entry.get("behind", {}).get(text) or _training(folder)))
+def _commands_of(record: Mapping[str, Any], *stages: str) -> list[Mapping[str, Any]]:
+    """The parts of a run's record, initial and resumed, whose ``--stage`` is one of ``stages``."""
+    entries = (record, *record.get("resumed", ()))
+    return [entry for entry in entries if entry["args"].get("stage") in stages]
+
+
+def _start(record: Mapping[str, Any], stage: str) -> Origin | None:
+    """The policy of ``--start``, which applies to the first stage of a command when it begins."""
+    first = ("teacher", "all") if stage == "teacher" else (stage,)
+    for entry in _commands_of(record, *first):
+        if name := entry["args"].get("start"):
+            folder = find_teacher(name) if stage == "teacher" else find_policy(name)
+            return folder, _behind(entry, "start", folder)
+    return None
+
+
+def _teachers(run: Path, record: Mapping[str, Any]) -> list[Origin]:
+    """The teachers of a run's student, in their order: a resume may name another one."""
+    found: list[Origin] = []
+    named = any(entry["args"].get("teacher") for entry in _commands_of(record, "student"))
+    for entry in _commands_of(record, "student", "all"):
+        name = entry["args"].get("teacher")
+        if name is None and named and policy_folder(run / "teacher") is None:
+            continue  # it was stopped before there was a teacher
+        folder = find_teacher(name or run / "teacher").absolute()
+        origin = folder, _behind(entry, "teacher", folder)
+        if origin not in found:
+            found.append(origin)
     return found
 
 
-def recorded_option(record: Mapping[str, Any], stage: str, option: str) -> Any:
-    """The value of an option when ``stage`` of a run was started.
-
-    Args:
-        record: the run's record, including its resumes.
-        stage: the stage; ``--stage all`` starts with the teacher.
-        option: ``start``, which applies only to a command's first stage, or ``teacher``.
-    """
-    entry = _entry_with(record, stage, option)
-    return None if entry is None else entry["args"][option]
+def _specialists(record: Mapping[str, Any]) -> list[tuple[str, Origin]]:
+    """The specialists of a run's student: the text of the option, and the policy."""
+    found: dict[str, Origin] = {}
+    for entry in _commands_of(record, "student", "all"):
+        for text in entry["args"].get("specialists") or ():
+            folder = find_teacher(read_specialist(text).where)
+            found.setdefault(text, (folder, _behind(entry, text, folder)))
+    return list(found.items())
 
 
-def _entry_with(record: Mapping[str, Any], stage: str, option: str) -> Mapping[str, Any] | None:
-    """The part of a record, initial or resumed, that has an option for a stage."""
-    for entry in (record, *record.get("resumed", ())):
-        args = entry["args"]
-        both = stage == "teacher" or option in ("teacher", "specialists")
-        mine = (stage, "all") if both else (stage,)
-        if args.get("stage") in mine and args.get(option):
-            return entry
-    return None
+def _behind(entry: Mapping[str, Any], option: str, folder: Path) -> dict[str, Any]:
+    return entry.get("behind", {}).get(option) or _training(folder)
+
+
+def _several_teachers(part: StagePart, parts: Sequence[StagePart]) -> dict[str, list[str]]:
+    """``teachers`` of a student that learned from one after the other, by name; else empty."""
+    if part.command is not None or part.training["stage"] != "student":
+        return {}
+    names = _run_names(parts)
+    teachers = _teachers(part.run, read_run(part.run))
+    texts = [_run_name(*origin, names, parts) for origin in teachers]
+    return {"teachers": texts} if len(texts) > 1 else {}
 
 
 def _shipped_stages(folder: Path, training: dict[str, Any]) -> list[StagePart]:
@@ -216,12 +225,15 @@ def _joined(parts: list[StagePart], more: Sequence[StagePart]) -> list[StagePart
     """``parts`` extended by ``more``, without duplicates: both may include the same teacher.
 
     Two shipped policies may record their common teacher under different run names; the first name
-    is kept.
+    is kept. Two runs of one name in two of them get different ones.
     """
     parts, names = list(parts), dict[str, str]()
+    taken = {_out(part.command) for part in parts if part.command is not None}
     for part in more:
         twin = next((known for known in parts if _is_same(known, part)), None)
         if twin is None:
+            if part.command is not None:
+                names.setdefault(_out(part.command), _free(_out(part.command), taken))
             command = None if part.command is None else _renamed(part.command, names)
             parts.append(replace(part, command=command))
         elif part.command is not None and twin.command is not None:
@@ -274,7 +286,8 @@ def commands(parts: Sequence[StagePart]) -> list[str]:
     """Command lines that repeat the training, one per stage.
 
     The run is called ``runs/NAME``, whatever its folder was; a teacher from another run is in
-    ``runs/TEACHER``; a shipped teacher keeps its name.
+    ``runs/TEACHER``; a shipped teacher keeps its name. Of several teachers of one student the
+    command names the last.
     """
     names, lines, begun = _run_names(parts), [], set()
     for part in parts:
@@ -284,16 +297,17 @@ def commands(parts: Sequence[StagePart]) -> list[str]:
         stage, run = part.training["stage"], part.run
         words = ["--stage", stage, "--minutes", str(ceil(part.minutes))]
         words += ["--out", names[run]]
-        record = read_run(run)
-        for option in ("teacher", "start") if stage == "student" else ("start",):
-            if origin := _origin(record, stage, option):
-                words += [f"--{option}", _run_name(*origin, names, parts)]
-        special = _specialists(record, stage) if stage == "student" else []
-        if special:
-            texts = recorded_option(record, stage, "specialists")
-            kinds = [text.rpartition(":")[2] for text in texts]
-            runs = [_run_name(*origin, names, parts) for origin in special]
-            words += ["--specialists", *map(":".join, zip(runs, kinds, strict=True))]
+        record, student = read_run(run), stage == "student"
+        last = _teachers(run, record)[-1] if student else None
+        if last is not None and run / "teacher" not in (last[0], *last[0].parents):
+            words += ["--teacher", _run_name(*last, names, parts)]
+        if start := _start(record, stage):
+            words += ["--start", _run_name(*start, names, parts)]
+        if student and (special := _specialists(record)):
+            words.append("--specialists")
+            for text, origin in special:
+                named = Path(_run_name(*origin, names, parts))
+                words.append(str(replace(read_specialist(text), where=named)))
         if run in begun:
             words.append("--resume")
         begun.add(run)
@@ -309,9 +323,18 @@ def _run_names(parts: Sequence[StagePart]) -> dict[Path, str]:
             continue
         if part.training["stage"] == "teacher" and "runs/TEACHER" not in names.values():
             names.setdefault(part.run, "runs/TEACHER")
-        else:
-            names.setdefault(part.run, f"runs/{part.run.name}")
+        elif part.run not in names:
+            taken = {*names.values(), *(_out(p.command) for p in parts if p.command is not None)}
+            names[part.run] = _free(f"runs/{part.run.name}", taken)
     return names
+
+
+def _free(name: str, taken: Collection[str]) -> str:
+    """The name, with a number if another run has it."""
+    number, found = 2, name
+    while found in taken:
+        number, found = number + 1, f"{name}-{number}"
+    return found
 
 
 def _run_name(

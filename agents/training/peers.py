@@ -1,7 +1,8 @@
-"""Averages over the workers that share the updates of one policy."""
+"""Averages over the workers that share the updates of one policy or kinematic system."""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable
 from datetime import timedelta
 from typing import Any, Protocol
@@ -39,6 +40,10 @@ class Peers(Protocol):
         """The ``values`` of every worker, in the workers' order."""
         ...
 
+    def average_gradients(self, parameters: Iterable[nn.Parameter]) -> None:
+        """Replace the gradients by their means over the workers."""
+        ...
+
 
 class Alone:
     """``Peers`` of a learner that shares its updates with nobody."""
@@ -54,6 +59,9 @@ class Alone:
     def each(self, values: Tensor) -> list[Tensor]:
         """The values themselves."""
         return [values]
+
+    def average_gradients(self, parameters: Iterable[nn.Parameter]) -> None:
+        """Does nothing: there are no other gradients."""
 
 
 ALONE = Alone()
@@ -98,6 +106,14 @@ class GlooPeers:
         self._wait(lambda: self._group.allgather([found], [own]))
         return found
 
+    def average_gradients(self, parameters: Iterable[nn.Parameter]) -> None:
+        """Replace the gradients by their means over the workers, in one message."""
+        gradients = [p.grad for p in parameters if p.grad is not None]
+        mean = self.mean(torch.cat([gradient.flatten() for gradient in gradients]))
+        parts = mean.split([gradient.numel() for gradient in gradients])
+        for gradient, part in zip(gradients, parts, strict=True):
+            gradient.copy_(part.view_as(gradient))
+
     @staticmethod
     def _wait(call: Any) -> None:
         try:
@@ -106,15 +122,16 @@ class GlooPeers:
             raise PeerLostError(str(error)) from error
 
 
-def average_gradients(peers: Peers, parameters: Iterable[nn.Parameter]) -> None:
-    """Replace the gradients by their means over the peers, in one message."""
-    if peers is ALONE:
-        return
-    gradients = [p.grad for p in parameters if p.grad is not None]
-    mean = peers.mean(torch.cat([gradient.flatten() for gradient in gradients]))
-    parts = mean.split([gradient.numel() for gradient in gradients])
-    for gradient, part in zip(gradients, parts, strict=True):
-        gradient.copy_(part.view_as(gradient))
+def packed(state: dict[str, Any]) -> bytes:
+    """A state of networks and optimisers, to be sent to other workers."""
+    file = io.BytesIO()
+    torch.save(state, file)
+    return file.getvalue()
+
+
+def unpacked(state: bytes) -> dict[str, Any]:
+    """The inverse of ``packed``."""
+    return torch.load(io.BytesIO(state), weights_only=True)
 
 
 class Meeting:

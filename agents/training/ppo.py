@@ -17,7 +17,7 @@ from torch import Tensor
 from agents.policy.networks import TorquePolicy
 from agents.training.buffers import Targets, TensorRolloutBuffer
 from agents.training.learner import StepObserver, TrainingError
-from agents.training.peers import ALONE, Peers, average_gradients
+from agents.training.peers import ALONE, Peers
 from agents.training.players import AfterStep, PolicyPlayer, Truncated
 from agents.training.workers import Workers
 
@@ -292,7 +292,7 @@ class AdaptivePPO(PPO):
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         parameters = optimizer.param_groups[0]["params"]
-        average_gradients(peers, parameters)
+        peers.average_gradients(parameters)
         torch.nn.utils.clip_grad_norm_(parameters, self.max_grad_norm)
         optimizer.step()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -195,6 +196,20 @@ def on_one_machine() -> bool:
     import ray
 
     return all(node["NodeManagerAddress"] == "127.0.0.1" for node in ray.nodes())
+
+
+def own_host() -> str:
+    """Address of the node that this process runs on."""
+    import ray
+
+    return ray.util.get_node_ip_address()
+
+
+@contextmanager
+def meeting_file() -> Iterator[str | None]:
+    """The file of a ``Meeting`` of workers on this machine alone; None if there are others."""
+    with tempfile.TemporaryDirectory(prefix="questsim-") as folder:
+        yield os.path.join(folder, "peers") if on_one_machine() else None
 
 
 # -- work that is independent clip by clip -----------------------------------------------------

@@ -8,9 +8,6 @@ with the weights of the command's process, which receives them from the first wo
 
 from __future__ import annotations
 
-import io
-import os
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,10 +17,10 @@ import torch
 from agents.training.cluster import ATTEMPTS, ActorPool
 from agents.training.learner import StepObserver
 from agents.training.make_ppo import make_ppo
-from agents.training.peers import Address, Meeting, PeerLostError, join
+from agents.training.peers import Address, Meeting, PeerLostError, join, packed, unpacked
 from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PPOConfig, StageConfig
-from agents.training.ray_session import check_head, first_error, on_one_machine
+from agents.training.ray_session import check_head, first_error, meeting_file, own_host
 from agents.training.rollout_worker import Kept, Played, RolloutWorker
 from questsim.errors import InputError
 
@@ -68,14 +65,14 @@ class LearningWorker(RolloutWorker):
 
     def meet(self, file: str | None) -> Address:
         """Open the place where all workers meet; called for the first one."""
-        self._meeting = Meeting(file, _host())
+        self._meeting = Meeting(file, own_host())
         return self._meeting.address
 
     def join(self, address: Address, rank: int, count: int) -> None:
         """Connect to the other workers."""
         assert self._ppo is not None
         self._rank = rank
-        groups = join(address, _host(), rank, count, 2, self._meeting)
+        groups = join(address, own_host(), rank, count, 2, self._meeting)
         self._ppo.actor_peers, self._ppo.critic_peers = groups
 
     def learn(self, update: bytes, episodes: list[Any], frozen: bool, progress: float) -> Learned:
@@ -89,12 +86,12 @@ class LearningWorker(RolloutWorker):
         """
         ppo, kept = self._ppo, Kept(self.env)
         assert ppo is not None
-        ppo.load_update_state(_unpacked(update))
+        ppo.load_update_state(unpacked(update))
         self._merge(episodes)
         ppo.actor_frozen = frozen
         figures = ppo.iterate(kept.after, progress)  # type: ignore[arg-type]
         played = self._played(kept, {}, [])
-        return Learned(played, _packed(ppo.update_state()) if self._rank == 0 else b"", figures)
+        return Learned(played, packed(ppo.update_state()) if self._rank == 0 else b"", figures)
 
     def get_state(self) -> dict[str, Any]:
         """State that the next iterations depend on, besides the update and the episodes."""
@@ -159,8 +156,7 @@ class LearningPool(ActorPool):
         raise InputError(f"died {ATTEMPTS} times in one iteration", "a worker", fix)
 
     def _join(self) -> None:
-        with tempfile.TemporaryDirectory(prefix="questsim-") as folder:
-            file = os.path.join(folder, "peers") if on_one_machine() else None
+        with meeting_file() as file:
             first = self._actors[0].call.remote("meet", file)
             (address,) = first_error([first])
             calls = enumerate(self._actors)
@@ -207,9 +203,9 @@ class SharedPPO(AdaptivePPO):
             observe(*step)
 
         update, figures = pool.learn(
-            _packed(self.update_state()), self.actor_frozen, progress, count
+            packed(self.update_state()), self.actor_frozen, progress, count
         )
-        self.load_update_state(_unpacked(update))
+        self.load_update_state(unpacked(update))
         return figures
 
 
@@ -239,19 +235,3 @@ def announce(ppo: PPOConfig, pool: LearningPool) -> str:
     whole = rows * pool.count
     more = "" if whole <= ppo.minibatch else f" instead of {ppo.minibatch}"
     return f"gradients of {pool.count} workers with {rows} samples each: {whole}{more} a step"
-
-
-def _host() -> str:
-    import ray
-
-    return ray.util.get_node_ip_address()
-
-
-def _packed(update: dict[str, Any]) -> bytes:
-    file = io.BytesIO()
-    torch.save(update, file)
-    return file.getvalue()
-
-
-def _unpacked(update: bytes) -> dict[str, Any]:
-    return torch.load(io.BytesIO(update), weights_only=True)

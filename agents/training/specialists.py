@@ -14,7 +14,7 @@ from torch import Tensor
 
 from agents.agent import Needs
 from agents.evaluation.follow import evaluation_sim, follow, from_first_frames
-from agents.policy.checkpoint import find_teacher, load_policy
+from agents.policy.checkpoint import find_teacher, load_policy, needs_of
 from agents.policy.policy_agent import PolicyAgent
 from agents.resolve import from_anywhere, policy_folder
 from envs import QuestVecEnv
@@ -116,7 +116,7 @@ def needs_of_teachers(args: TrainArgs) -> list[Needs]:
     elif policy_folder(args.out / "teacher") is None:
         fix = "give --teacher, or train one there with --stage teacher"
         raise InputError("has no teacher of its own", f"--stage student in {args.out}", fix)
-    needs = [load_policy(find_teacher(folder)).needs for folder in folders]
+    needs = [needs_of(find_teacher(folder)) for folder in folders]
     # Without --teacher it is the run's own.
     return needs if args.teacher is not None else [*needs, Needs(privileged=True)]
 
