@@ -16,6 +16,7 @@ from questsim import __version__
 from questsim.errors import BAD_INPUT, INTERRUPTED, InputError
 from questsim.extensions import load_extensions
 from questsim.modes import Modes
+from questsim.parsing import parse
 from questsim.processes import own_cores, processes
 
 
@@ -173,11 +174,10 @@ def run(command: Callable[[Any], object], args: type, argv: Sequence[str] | None
     Returns:
         The exit code; see ``guarded``.
     """
-    import tyro
 
     def parse_and_run() -> object:
         load_extensions()
-        return command(tyro.cli(args, args=argv))
+        return command(parse(args, argv))
 
     return guarded(parse_and_run)
 
@@ -237,8 +237,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run_named(name: str, argv: Sequence[str]) -> int:
-    import tyro
-
     command = COMMANDS[name]
     # PyTorch threads that spin while waiting would slow down the physics threads.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -248,11 +246,8 @@ def _run_named(name: str, argv: Sequence[str]) -> int:
         module = importlib.import_module(command.module)
         if not command.function:
             return getattr(module, command.args).run(argv, f"questsim {name}")
-        args = tyro.cli(
-            getattr(module, command.args),
-            args=argv,
-            prog=f"questsim {name}",
-            description=command.help,
+        args = parse(
+            getattr(module, command.args), argv, f"questsim {name}", description=command.help
         )
         return getattr(module, command.function)(args)
 

@@ -7,6 +7,7 @@ from dataclasses import fields, is_dataclass
 from typing import Any, NamedTuple, get_args, get_type_hints
 
 from questsim.errors import InputError
+from questsim.parsing import parse
 
 
 def one_of(names: Iterable[str]) -> str:
@@ -68,12 +69,10 @@ class Modes(NamedTuple):
         Raises:
             InputError: see ``chosen``; also errors of the mode itself.
         """
-        import tyro
-
         mode, rest = self.chosen(words)
         others = "; ".join(other.name for other in self.modes if other is not mode)
         text = f"{(mode.args.__doc__ or '').strip()} For other options: {others}, and --help."
-        return mode.function(tyro.cli(mode.args, args=rest, prog=prog, description=text))
+        return mode.function(parse(mode.args, rest, prog, text))
 
 
 def option_names(args: type, prefix: str = "--") -> set[str]:

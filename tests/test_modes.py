@@ -86,6 +86,29 @@ def test_every_mode_explains_itself_and_names_the_others(modes: Modes, capsys):
         assert "For other options" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("--threads x", "--threads: is 'x', not a whole number; see"),
+        ("--heights 1.4", "--heights: is '1.4', not two numbers; see"),
+        ("--preset q", "--preset: is 'q'; choose from cpu, paper, smoke"),
+        ("--minute 3", "there is no option --minute; did you mean --minutes? see"),
+        ("--resume yes", "unexpected 'yes': it belongs to no option; see"),
+        ("--stage", "--stage: needs a value; see"),
+        ("--randomisation.noise-m 0.2 0.1", "randomisation: noise_m is (0.2, 0.1), not a range"),
+    ],
+)
+def test_a_word_that_train_cannot_read_is_one_line_that_names_the_option(words, expected, capsys):
+    assert run_modes(TRAIN, ["--out", "x", *words.split()]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"error: {expected}") and error.count("\n") == 1
+
+
+def test_a_required_option_that_is_missing_is_named(capsys):
+    assert main(["play"]) == 2
+    assert capsys.readouterr().err.startswith("error: missing: PATH (A run folder, a stage in it")
+
+
 @pytest.mark.parametrize("agent", ["ik", "ik+physics"])
 @pytest.mark.parametrize(
     "given",
