@@ -69,7 +69,13 @@ def _changed(holder: Any, names: list[str], value: Any, path: str) -> Any:
     if not rest and value is None and not _may_be_none(holder, name):
         raise InputError("needs a value", f"{WHERE} {path}", f"it is now {old!r}")
     new = _changed(old, rest, value, path) if rest else _converted(old, value, path)
-    return {**holder, name: new} if isinstance(holder, dict) else replace(holder, **{name: new})
+    if isinstance(holder, dict):
+        return {**holder, name: new}
+    try:
+        return replace(holder, **{name: new})
+    except InputError as error:  # the dataclass refuses the value
+        where = error.where if str(error.where).startswith(WHERE) else f"{WHERE} {path}"
+        raise InputError(error.what, where, error.fix) from error
 
 
 def _may_be_none(holder: Any, name: str) -> bool:

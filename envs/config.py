@@ -105,10 +105,9 @@ class EnvConfig:
         if self.heights is not None:
             low, high = self.heights
             if not MIN_HEIGHT_M <= low <= high <= MAX_HEIGHT_M:
-                raise InputError(
-                    f"heights {low:g}-{high:g} m are not within {MIN_HEIGHT_M}-{MAX_HEIGHT_M} m",
-                    "EnvConfig",
-                )
+                given = f"{low:g} m" if low == high else f"{low:g} to {high:g} m"
+                within = f"within {MIN_HEIGHT_M} to {MAX_HEIGHT_M} m"
+                raise InputError(f"a stature of {given} is not {within}", "heights")
         # With an infinite limit a fallen avatar would lie on the ground until the clip ends.
         if not 0.0 < self.max_error_m <= MAX_ERROR_M:
             raise InputError(
@@ -231,8 +230,8 @@ def _check_forms(config: EnvConfig) -> None:
     ):  # fmt: skip
         check(name, "True or False", lambda v: isinstance(v, bool | np.bool_))
     check("sensors", "the name of a sensor set", lambda v: isinstance(v, str))
-    check("body_preset", f"one of {sorted(PRESETS)}", lambda v: v in [*PRESETS])
-    check("sampling", f"one of {list(SAMPLING)}", lambda v: v in [*SAMPLING])
+    check("body_preset", f"one of {', '.join(sorted(PRESETS))}", lambda v: v in [*PRESETS])
+    check("sampling", f"one of {', '.join(SAMPLING)}", lambda v: v in [*SAMPLING])
     check("future_frames", "a whole number", _whole)
     check(
         "teacher_devices",

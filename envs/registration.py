@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from gymnasium.envs.registration import register as _register
@@ -30,10 +31,25 @@ def register() -> None:
     an import of ``envs``, use ``gym.make("envs:QuestSim-v0")``.
     """
     for name, options in ENVIRONMENTS.items():
-        if name not in registry:
-            _register(
-                name,
-                entry_point="envs.gym:QuestEnv",
-                vector_entry_point="envs.vector:QuestVectorEnv",
-                kwargs=dict(options),
-            )
+        register_id(name, options)
+
+
+def register_id(name: str, options: Mapping[str, Any]) -> None:
+    """Register one id, unless it is registered already.
+
+    Args:
+        name: the id.
+        options: of ``EnvConfig``.
+    """
+    if name not in registry:
+        _register(
+            name,
+            entry_point="envs.gym:QuestEnv",
+            vector_entry_point="envs.vector:QuestVectorEnv",
+            kwargs=dict(options),
+        )
+
+
+def terrain_id(kind: str) -> str:
+    """The id of a terrain: ``QuestSimHighRidges-v0`` for ``high_ridges``."""
+    return f"QuestSim{''.join(part.capitalize() for part in kind.split('_'))}-v0"

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from envs.registration import ENVIRONMENTS, register_id, terrain_id
 from envs.terrain_kinds import SHAPES, Shape
 from questsim.errors import InputError, value_text
 from questsim.extensions import load_extensions, same_source
@@ -215,6 +216,8 @@ TERRAINS["mixed"] = Terrain(
 def register_terrain(kind: str, shape: Shape, **options: Any) -> None:
     """Add a kind of ground, e.g. from a module that ``QUESTSIM_EXTENSIONS`` names.
 
+    It gets an id of gymnasium as well, see ``envs.registration.terrain_id``.
+
     Args:
         kind: its name on command lines.
         shape: function of ``(terrain, x, y, rng)`` that returns heights in metres; see
@@ -228,8 +231,12 @@ def register_terrain(kind: str, shape: Shape, **options: Any) -> None:
         raise InputError(f"there is a terrain {kind!r} already", "register_terrain", "rename it")
     if not kind.isidentifier():
         raise InputError(f"{kind!r} is not a valid name of a terrain", "register_terrain")
+    name, given = terrain_id(kind), {"terrain": kind}
+    if ENVIRONMENTS.get(name, given) != given:
+        raise InputError(f"there is an id {name} already", "register_terrain", "rename it")
     SHAPES[kind] = shape
     TERRAINS[kind] = Terrain(kind, **options)
+    register_id(name, given)
     height_field.cache_clear()
 
 

@@ -50,6 +50,22 @@ def value_text(value: Any) -> str:
     return f"of the type {type(value).__name__}"
 
 
+def within(where: str, low: float, high: float, **values: float | None) -> None:
+    """Reject settings outside a range or not a number.
+
+    Args:
+        where: what has the settings.
+        low, high: smallest and largest allowed value.
+        **values: settings by name; None is ignored.
+
+    Raises:
+        InputError: names the first invalid setting.
+    """
+    for name, value in values.items():
+        if value is not None and not low <= value <= high:
+            raise InputError(f"{name} is {value:g}, not {low:g} to {high:g}", where)
+
+
 def at_least(least: float, **options: float | None) -> None:
     """Reject options of a command that are too small or not a number.
 

@@ -126,6 +126,7 @@ def test_gym_make_finds_a_terrain_and_a_reward_term_without_the_command_line(pac
     assert "outside_energy" in str(info)
     config = env.unwrapped.sim.config  # type: ignore[attr-defined]
     assert config.terrain == replace(terrain.TERRAINS["dune"], amplitude_m=0.02)
+    assert gym.spec("QuestSimDune-v0").kwargs == {"terrain": "dune"}
 
 
 def test_a_reward_term_in_another_process_is_found_or_refused(package: Path) -> None:
@@ -169,6 +170,8 @@ def test_names_that_are_taken_are_refused(package: Path) -> None:
     load_extensions()
     with pytest.raises(InputError, match="already"):
         terrain.register_terrain("rough", lambda t, x, y, rng: x)
+    with pytest.raises(InputError, match="an id QuestSimHeadset-v0 already"):
+        terrain.register_terrain("headset", lambda t, x, y, rng: x)
     with pytest.raises(InputError, match="already"):
         registry.register_system("lgsik", registry.AGENTS["outsider"])
     with pytest.raises(InputError, match="lacks"):

@@ -401,5 +401,5 @@ def test_a_paper_preset_trains_for_its_published_epochs_unless_a_budget_is_given
 
 def test_an_unknown_schedule_is_refused(library, tmp_path):
     args = arguments("lgsik", library, tmp_path / "run", set=("stages.network.schedule=stairs",))
-    with pytest.raises(InputError, match="there is no schedule 'stairs'"):
+    with pytest.raises(InputError, match="schedule is 'stairs', not one of cosine"):
         train_system(args)

@@ -45,6 +45,11 @@ def test_a_warm_up_can_be_turned_off_where_the_preset_has_one() -> None:
     [
         ("num_envs", "not path=value"),
         ("stages.pupil.share=1", "no 'pupil'.*teacher"),
+        (
+            "stages.teacher.learning.gamma=7",
+            "--set stages.teacher.learning.gamma: .* 7, not 0 to 1",
+        ),
+        ("stages.teacher.policy.activation=q", "activation: unknown activation 'q'; use tanh, elu"),
         ("num_envs=many", "'many' is not of type int"),
         ("stages.teacher.learning=3", "names a group"),
         ("num_envs.x=3", "no 'x'"),

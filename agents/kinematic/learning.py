@@ -11,7 +11,10 @@ import numpy as np
 from torch import Tensor, nn
 
 from agents.kinematic.data import MotionBank
-from questsim.errors import InputError
+from questsim.errors import InputError, within
+
+OPTIMISERS = ("adam", "adamw")
+SCHEDULES = ("cosine", "step", "halving", "plateau")
 
 
 @dataclass(frozen=True)
@@ -20,9 +23,9 @@ class Learning:
 
     Attributes:
         share: share of the whole time budget.
-        optimiser: ``adam`` or ``adamw``.
+        optimiser: one of ``OPTIMISERS``.
         learning_rate: initial learning rate; see ``rate_at``.
-        schedule: ``cosine``, ``step``, ``halving`` or ``plateau``.
+        schedule: one of ``SCHEDULES``, see ``rate_at``.
         final_rate: factor on the rate at the end of a cosine, or at each step or plateau.
         warm_up: gradient steps over which the rate first rises from 0.
         batch: windows, or single poses, per gradient step.
@@ -56,6 +59,14 @@ class Learning:
     weights: dict[str, float] = field(default_factory=dict)
     noise: dict[str, float] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        for name, known in (("optimiser", OPTIMISERS), ("schedule", SCHEDULES)):
+            if getattr(self, name) not in known:
+                what = f"{name} is {getattr(self, name)!r}, not one of {', '.join(known)}"
+                raise InputError(what, "a stage")
+        within("a stage", 0.0, 1.0, share=self.share, learning_rate=self.learning_rate)
+        within("a stage", 0.0, 1.0, final_rate=self.final_rate)
+
 
 STEP_AT = 0.75
 """HMD-Poser's learning rate falls after 300 of 400 epochs."""
@@ -79,9 +90,6 @@ def rate_at(learning: Learning, progress: float, steps: int, errors: Sequence[fl
         progress: used share of the budget.
         steps: gradient steps so far.
         errors: errors of all evaluations so far.
-
-    Raises:
-        InputError: unknown schedule.
     """
     if learning.schedule == "cosine":
         share = 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
@@ -90,13 +98,8 @@ def rate_at(learning: Learning, progress: float, steps: int, errors: Sequence[fl
         factor = 1.0 if progress < STEP_AT else learning.final_rate
     elif learning.schedule == "halving":
         factor = learning.final_rate ** (steps // HALVED_EVERY)
-    elif learning.schedule == "plateau":
-        factor = learning.final_rate ** _plateaus(errors)
     else:
-        raise InputError(
-            f"there is no schedule {learning.schedule!r}",
-            fix="choose cosine, step, halving or plateau",
-        )
+        factor = learning.final_rate ** _plateaus(errors)
     warm = min(1.0, (steps + 1) / max(learning.warm_up, 1))
     return learning.learning_rate * factor * warm
 

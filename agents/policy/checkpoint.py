@@ -20,7 +20,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 
 from agents.agent import Needs
-from agents.policy.networks import ACTIVATIONS, TorquePolicy
+from agents.policy.networks import TorquePolicy
 from agents.policy.policy_agent import PolicyAgent, Tracker, new_policy
 from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
 from agents.resolve import POLICY_CARD, resolve_policy
@@ -185,8 +185,6 @@ def load_policy(folder: Path) -> PolicyAgent:
         needs = _needs(card, folder / CARD_FILE)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise _incomplete(error, folder) from error
-    if spec.activation not in ACTIVATIONS:
-        raise InputError(f"unknown activation {spec.activation!r}", folder / CARD_FILE)
     policy = new_policy(spec, Layout(blocks), hinges=len(card["joints"]))
     try:
         policy.load_state_dict(load_file(folder / WEIGHTS_FILE))

@@ -14,10 +14,17 @@ from stable_baselines3.common.type_aliases import Schedule
 from torch import Tensor, nn
 
 from agents.policy.balance import OUTPUTS, Balance
-from agents.policy.spec import JOINT_BLOCK, REFERENCE_BLOCK, TORQUE_BLOCK, Layout, PolicySpec
+from agents.policy.spec import (
+    ACTIVATIONS,
+    JOINT_BLOCK,
+    REFERENCE_BLOCK,
+    TORQUE_BLOCK,
+    Layout,
+    PolicySpec,
+)
 from agents.precision import native_bfloat16
 
-ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "elu": nn.ELU, "silu": nn.SiLU}
+_ACTIVATIONS = dict(zip(ACTIVATIONS, (nn.Tanh, nn.ELU, nn.SiLU), strict=True))
 
 CLIP = 10.0
 """Normalised observations are clipped to this many standard deviations."""
@@ -90,7 +97,7 @@ class Network(nn.Module):
         layers: list[nn.Module] = []
         width = len(columns)
         for hidden in spec.hidden:
-            layers += [_linear(width, hidden, np.sqrt(2)), ACTIVATIONS[spec.activation]()]
+            layers += [_linear(width, hidden, np.sqrt(2)), _ACTIVATIONS[spec.activation]()]
             width = hidden
         self.layers = nn.Sequential(*layers, _linear(width, outputs, output_gain))
         self.low_precision = False

@@ -21,6 +21,8 @@ JOINT_BLOCK, REFERENCE_BLOCK = "joint_angles", "midway_joint_angles"
 TORQUE_BLOCK = "reference_torques"
 """The block that a torque head around the reference adds unchanged."""
 
+ACTIVATIONS: tuple[str, ...] = ("tanh", "elu", "silu")
+
 BALANCE: tuple[str, ...] = ("none", "reference", "steps", "feet", "placement")
 
 # Exploration noise by joint: large for strong joints, where errors do not end the episode, small
@@ -62,8 +64,14 @@ class PolicySpec:
     balance: str = "none"
 
     def __post_init__(self) -> None:
+        if self.activation not in ACTIVATIONS:
+            known = ", ".join(ACTIVATIONS)
+            raise InputError(
+                f"unknown activation {self.activation!r}", "PolicySpec", f"use {known}"
+            )
         if self.balance not in BALANCE:
-            raise InputError(f"balance is {self.balance!r}, not one of {BALANCE}", "PolicySpec")
+            known = ", ".join(BALANCE)
+            raise InputError(f"balance is {self.balance!r}, not one of {known}", "PolicySpec")
         if self.balance != "none" and not self.torque_head:
             raise InputError("balance is a term of the torque head", "PolicySpec", "add the head")
         if "o_teacher" in (*self.actor_blocks, *self.critic_blocks):

@@ -16,6 +16,7 @@ from agents.policy.policy_agent import PolicyAgent
 from agents.training.learner import StepObserver, TrainingError
 from agents.training.players import Labels, StudentPlayer
 from agents.training.workers import Workers
+from questsim.errors import within
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,11 @@ class DaggerConfig:
     mix_steps: int = 400_000
     exploration: float = 0.3
     learn_head: bool = True
+
+    def __post_init__(self) -> None:
+        within("DAgger", 0.0, 1.0, learning_rate=self.learning_rate)
+        within("DAgger", 0.0, 1.0, final_learning_rate=self.final_learning_rate)
+        within("DAgger", 0.0, 10.0, exploration=self.exploration)
 
 
 class Memory:

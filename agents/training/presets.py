@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from agents.policy.spec import SPARSE_BLOCKS, TRACKER_BLOCKS, PolicySpec
 from agents.training.dagger import DaggerConfig
+from questsim.errors import within
 from questsim.reward import PAPER_REWARD, RewardConfig
 
 
@@ -49,6 +50,15 @@ class PPOConfig:
     bfloat16: bool = True
     critic_warmup_steps: int = 0
 
+    def __post_init__(self) -> None:
+        within("PPO", 0.0, 1.0, gamma=self.gamma, gae_lambda=self.gae_lambda, clip=self.clip)
+        within("PPO", 0.0, 1.0, learning_rate=self.learning_rate)
+        within("PPO", 0.0, 1.0, critic_learning_rate=self.critic_learning_rate)
+        within("PPO", 0.0, 10.0, desired_kl=self.desired_kl, final_kl=self.final_kl)
+        within("PPO", 0.0, 1e6, max_grad_norm=self.max_grad_norm, reward_scale=self.reward_scale)
+        legs, arms = self.noise_legs_and_trunk, self.noise_arms_and_neck
+        within("PPO", 1e-9, 10.0, noise_legs_and_trunk=legs, noise_arms_and_neck=arms)
+
 
 @dataclass(frozen=True)
 class StageConfig:
@@ -76,6 +86,9 @@ class StageConfig:
     sampling: str = "failure"
     max_error_m: float = 0.5
 
+    def __post_init__(self) -> None:
+        within("a stage", 0.0, 1.0, share=self.share)
+
 
 @dataclass(frozen=True)
 class Preset:
@@ -96,6 +109,9 @@ class Preset:
     body_preset: str = "default"
     validation_clips: int = 48
     expect: str = ""
+
+    def __post_init__(self) -> None:
+        within("a preset", 0.0, 1e6, minutes=self.minutes)
 
 
 TEACHER = PolicySpec(
