@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from questsim.bodies import BodyMap, OwnBody, clips_for, map_of
+from questsim import bodies
 from questsim.body import DEFAULT_HEIGHT_M, build_body
 from questsim.heightfield import HeightField
 from questsim.motion.clip import Clip
 from questsim.motion.kinematics import sole_positions
 from questsim.skeleton import DOFS, FOOT_LINKS, LINKS
+
+if TYPE_CHECKING:
+    from questsim.bodies import BodyMap, OwnBody
 
 _LEG_AND_TRUNK_JOINTS = ("hip", "knee", "ankle", "spine", "chest")
 
@@ -42,7 +46,7 @@ class Avatar:
     def clips(self, clips: Sequence[Clip], body: OwnBody | None) -> list[Clip]:
         """Clips of our avatar as clips of this one, on the body of ``base_m``."""
         if body is not None:
-            return clips_for(body, clips)
+            return bodies.clips_for(body, clips)
         return [clip.scaled(self.base_m) for clip in clips]
 
     def link(self, name: str) -> int:
@@ -104,7 +108,7 @@ def _ours() -> Avatar:
 
 @lru_cache(maxsize=16)
 def _own(body: OwnBody) -> Avatar:
-    own = map_of(body)
+    own = bodies.map_of(body)
     return Avatar(
         own.links, own.dofs, own.joint_range, own.rest[7:], own.body.height_m, own.strong, own
     )

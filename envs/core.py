@@ -24,8 +24,8 @@ from envs.physics import POSITION, Physics
 from envs.reference import Reference, check_are_clips, check_shown
 from envs.sampler import Sampler
 from envs.surroundings import Surroundings
+from questsim import bodies
 from questsim import rotations as rot
-from questsim.bodies import clip_for
 from questsim.errors import InputError
 from questsim.motion.clip import FPS, Clip
 from questsim.reward import COMPILED, Moment
@@ -183,7 +183,7 @@ class BatchSim:
         from questsim.motion.reproportion import with_proportions  # late: for rendering and scores
 
         if self.config.body is not None:
-            scaled = clip_for(self.config.body, clip)
+            scaled = bodies.clip_for(self.config.body, clip)
         else:
             scaled = clip.scaled(float(self.user_heights[i]))
             scaled = with_proportions(scaled, self.bodies.proportions[i])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from envs.episode_random import EpisodeRandom, Seeds, Streams, within
 from envs.kernel_arguments import PoseFaults
@@ -151,7 +150,7 @@ class DeviceFaults:
             )
             poses.mount_offset[ids] = offset
             poses.mount_quat[ids] = rot.as_quat(
-                Rotation.from_rotvec(turn.reshape(-1, 3)), turn.shape[:-1]
+                rot.from_rotvec(turn.reshape(-1, 3)), turn.shape[:-1]
             )
         if options.recentres:
             self.jumped[ids], seconds = False, within(numbers[:, 1], options.recentre_s)

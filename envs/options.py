@@ -16,7 +16,7 @@ from envs.pushes import Pushes
 from envs.randomisation import Randomisation
 from envs.starts import Starts
 from envs.terrain import Terrain, terrain_named
-from questsim.bodies import read_body
+from questsim import bodies
 from questsim.errors import InputError, value_text
 from questsim.motion.clip import Clip
 from questsim.reward import RewardConfig
@@ -146,7 +146,7 @@ def _terrain(value: Any) -> Any:
 
 
 def _body(value: Any) -> Any:
-    return read_body(str(value)) if isinstance(value, str | Path) else value
+    return bodies.read_body(str(value)) if isinstance(value, str | Path) else value
 
 
 def _objects(value: Any) -> Any:

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from envs.avatar import Avatar
 from envs.episode_random import Drawing, EpisodeRandom
@@ -206,7 +205,7 @@ class Beginnings(Drawing):
         # The avatar turns about the point of the ground below its root.
         arm = np.zeros((len(numbers), 3))
         arm[:, 2] = qpos[which, 2]
-        turn = rot.as_quat(Rotation.from_rotvec(lean))
+        turn = rot.as_quat(rot.from_rotvec(lean))
         qpos[which, 3:7] = rot.quat_multiply(turn, qpos[which, 3:7])
         qpos[which, :3] += np.cross(lean, arm) + place
         qvel[which, :3] += np.cross(spin, arm)

@@ -16,6 +16,7 @@ import csv
 import gzip
 import io
 import json
+import math
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
@@ -305,7 +306,7 @@ def _iwer_frames(path: Path) -> list[DeviceFrame]:
         content = parse_json(path.read_text(encoding="utf-8"))
         schema = {int(index): dict(source) for index, source in content["schema"]}
         lines = list(content["frames"])
-    except (OSError, KeyError, TypeError, ValueError):
+    except (OSError, KeyError, TypeError, ValueError, OverflowError):
         raise InputError(
             "is not a recording of iwer", path, "give what ActionRecorder logs"
         ) from None
@@ -319,7 +320,7 @@ def _iwer_frames(path: Path) -> list[DeviceFrame]:
                 side = about["handedness"]
                 if about.get("hasGrip") and side in ("left", "right"):
                     poses[f"{side}_controller"] = list(source[8])
-        except (IndexError, KeyError, TypeError, ValueError):
+        except (IndexError, KeyError, TypeError, ValueError, OverflowError):
             raise InputError("is not a frame of iwer", where) from None
         frames.append(_frame(time_s, _unit(poses), "openxr", where))
     return frames
@@ -330,8 +331,8 @@ def _unit(poses: Mapping[str, list[float]]) -> dict[str, list[float]]:
     out = {}
     for name, pose in poses.items():
         try:
-            length = float(np.hypot.reduce(np.asarray(pose[3:], float)))
-        except (TypeError, ValueError):  # reported when the frame is made
+            length = math.hypot(*map(float, pose[3:]))
+        except (TypeError, ValueError, OverflowError):  # reported when the frame is made
             length = 0.0
         near = abs(length - 1.0) < 0.01
         out[name] = [*pose[:3], *(np.array(pose[3:]) / length)] if near else pose

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import warnings
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy  # it imports its parts on first use
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 # In gimbal lock SciPy sets the free Euler angle to zero, which is valid; hide its warning.
 warnings.filterwarnings("ignore", message="Gimbal lock detected")
@@ -13,7 +17,18 @@ warnings.filterwarnings("ignore", message="Gimbal lock detected")
 
 def as_rotation(quat: np.ndarray) -> Rotation:
     """SciPy's Rotation, flattened to one axis, of quaternions wxyz ``(..., 4)``."""
-    return Rotation.from_quat(np.asarray(quat, float).reshape(-1, 4), scalar_first=True)
+    flat = np.asarray(quat, float).reshape(-1, 4)
+    return scipy.spatial.transform.Rotation.from_quat(flat, scalar_first=True)
+
+
+def from_euler(order: str, angles: Any) -> Rotation:
+    """SciPy's Rotation of Euler angles in radians, of SciPy's orders."""
+    return scipy.spatial.transform.Rotation.from_euler(order, angles)
+
+
+def from_rotvec(rotvec: np.ndarray) -> Rotation:
+    """SciPy's Rotation of rotation vectors ``(3,)`` or ``(n, 3)`` in radians."""
+    return scipy.spatial.transform.Rotation.from_rotvec(rotvec)
 
 
 def as_quat(rotation: Rotation, shape: tuple[int, ...] = ()) -> np.ndarray:
@@ -31,7 +46,9 @@ def quat_to_matrix(quat: np.ndarray) -> np.ndarray:
 def matrix_to_quat(matrix: np.ndarray) -> np.ndarray:
     """Quaternions wxyz ``(..., 4)`` of rotation matrices ``(..., 3, 3)``."""
     matrix = np.asarray(matrix, float)
-    return as_quat(Rotation.from_matrix(matrix.reshape(-1, 3, 3)), matrix.shape[:-2])
+    return as_quat(
+        scipy.spatial.transform.Rotation.from_matrix(matrix.reshape(-1, 3, 3)), matrix.shape[:-2]
+    )
 
 
 def quat_multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -120,7 +137,8 @@ def resample_quat(quat: np.ndarray, times: np.ndarray, new_times: np.ndarray) ->
     start, end = as_rotation(quat[before]), as_rotation(quat[before + 1])
     turn = (start.inv() * end).as_rotvec()
     turn *= np.repeat(share, len(turn) // len(new_times))[:, None]
-    return as_quat(start * Rotation.from_rotvec(turn), (len(new_times), *quat.shape[1:-1]))
+    turned = start * from_rotvec(turn)
+    return as_quat(turned, (len(new_times), *quat.shape[1:-1]))
 
 
 def angular_velocity(quat: np.ndarray, fps: float) -> np.ndarray:

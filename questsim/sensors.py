@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
@@ -176,9 +175,7 @@ class SensorNoise:
         if self.mount_m or self.mount_rad:
             position, quat = self._mounted(position, quat, rng)
         position = position[late] + rng.normal(0.0, 1.0, position.shape) * self.position_std_m
-        turn = Rotation.from_rotvec(
-            rng.normal(0.0, 1.0, (frames * devices, 3)) * self.rotation_std_rad
-        )
+        turn = rot.from_rotvec(rng.normal(0.0, 1.0, (frames * devices, 3)) * self.rotation_std_rad)
         quat = rot.quat_multiply(rot.as_quat(turn, (frames, devices)), quat[late])
         for device in range(devices):
             shown = self._shown_frames(frames, rng)
@@ -195,7 +192,7 @@ class SensorNoise:
         size = rng.random((2, devices, 1))
         offset *= self.mount_m * size[0] / np.linalg.norm(offset, axis=-1, keepdims=True)
         turn *= self.mount_rad * size[1] / np.linalg.norm(turn, axis=-1, keepdims=True)
-        turned = rot.as_quat(Rotation.from_rotvec(turn))
+        turned = rot.as_quat(rot.from_rotvec(turn))
         return position + rot.quat_rotate(quat, offset), rot.quat_multiply(quat, turned)
 
     def _shown_frames(self, frames: int, rng: np.random.Generator) -> np.ndarray:

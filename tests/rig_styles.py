@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from rigs import Rig
 
 
@@ -281,3 +283,6 @@ RIGS: dict[str, Rig] = {
         all_positions=True, fps=60.0,
     ),
 }  # fmt: skip
+# Names of a known family do not say how its zero pose stands; split bones with axes of their own.
+RIGS["SMPL's names, zero pose turned"] = replace(RIGS["SMPL-X"], up="y", rest_yaw=40.0)
+RIGS["Rigify, own axes"] = replace(RIGS["Rigify"], pose="own")

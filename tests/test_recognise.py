@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mocap_files import SMPL_JOINTS, standing, write_bvh
+from mocap_files import LAFAN1_JOINTS, SMPL_JOINTS, standing, write_bvh
 from rig_styles import MIXAMO, RIGS
 from rigs import TIPS, Rig, write_rig
 
@@ -20,7 +20,7 @@ from questsim.errors import InputError
 from questsim.motion.bvh import read_bvh
 from questsim.motion.families import load_mapping
 from questsim.motion.joint_names import understand
-from questsim.motion.many import MAX_ERROR_CM
+from questsim.motion.many import MAX_ERROR_CM, read_and_retarget
 from questsim.motion.motion import Motion
 from questsim.motion.reading import ReadOptions, read_motion
 from questsim.motion.recognise import find_roles
@@ -174,6 +174,43 @@ def test_swapped_sides_are_refused_and_not_imported_mirrored(tmp_path):
     (tmp_path / "b.bvh").write_text(re.sub("Left|Right", lambda m: swap[m[0]], text))
     with pytest.raises(InputError, match=r"left and right are swapped|bends backwards"):
         read_motion(tmp_path / "b.bvh")
+
+
+def radians(values: np.ndarray) -> np.ndarray:
+    return np.concatenate([values[:, :3], np.radians(values[:, 3:])], axis=1)
+
+
+def metres(values: np.ndarray) -> np.ndarray:
+    return np.concatenate([values[:, :3] / 100.0, values[:, 3:]], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (radians, "error.*no rotation is above 1.., but the performer travels: these are radians"),
+        (metres, r"warning.*moved by \+0.9. m onto the floor: perhaps the root's positions have"),
+        (lambda v: np.repeat(v, 3, axis=0), "warning.*67 % of the frames repeat .* about 10"),
+        (lambda v: v[:1].repeat(len(v), axis=0), "warning.*nothing moves: all frames are the same"),
+    ],
+)  # fmt: skip
+def test_values_that_are_not_what_they_seem_are_refused_or_warned_of(
+    change, says, tmp_path, capsys
+):
+    path = tmp_path / "a.bvh"
+    write_rig(path, RIGS["Mixamo"])
+    head, rows = re.split(r"Frames: \d+\nFrame Time: .*\n", path.read_text())
+    values = change(np.array([[float(v) for v in row.split()] for row in rows.splitlines()]))
+    lines = [" ".join(f"{v:.6f}" for v in row) for row in values]
+    path.write_text(f"{head}Frames: {len(lines)}\nFrame Time: 0.0333333\n" + "\n".join(lines))
+    code = main(["motions", "import", str(path), "--out", str(tmp_path / "lib.npz")])
+    assert re.search(says, capsys.readouterr().err)
+    assert code == (2 if change is radians else 0)
+
+
+def test_a_known_skeleton_in_poses_that_no_one_takes_is_refused(tmp_path):
+    path = write_bvh(tmp_path / "a.bvh", LAFAN1_JOINTS, standing(30, 93.6))  # all angles zero
+    with pytest.raises(InputError, match=r"the .* is \d+ cm off on average: no one moves so"):
+        read_and_retarget(path, ReadOptions())
 
 
 def test_a_skeleton_without_arms_is_refused_with_the_reason(tmp_path):

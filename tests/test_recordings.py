@@ -111,10 +111,11 @@ def test_a_recording_of_iwer_is_read_by_its_grips(tmp_path):
 
 def test_a_damaged_pose_of_iwer_is_refused(tmp_path):
     damaged = iwer(FRAMES)
-    damaged["frames"][0][-1][8][3] = [1.0]
-    (tmp_path / "iwer.json").write_text(json.dumps(damaged))
-    with pytest.raises(InputError, match=r"iwer.json.*pose of .*_controller is not made of"):
-        read_recording(tmp_path / "iwer.json")
+    for value, says in (([1.0], "not made of"), (10**400, "not made of"), (1e300, "number above")):
+        damaged["frames"][0][-1][8][3] = value
+        (tmp_path / "iwer.json").write_text(json.dumps(damaged))
+        with pytest.raises(InputError, match=f"iwer.json.*pose of .*_controller .*{says}"):
+            read_recording(tmp_path / "iwer.json")
 
 
 HEADER = {"format": "questsim-recording", "version": 1, "convention": "openxr"}

@@ -7,7 +7,7 @@ import pytest
 from mocap_files import SMPL_JOINTS, standing, write_amass, write_bvh
 
 from questsim.errors import InputError
-from questsim.motion import datasets, many, spec
+from questsim.motion import datasets, loaded, many
 from questsim.motion.library import load_library
 from questsim.motion.motions_command import (
     ImportArgs,
@@ -46,7 +46,7 @@ def test_a_file_and_a_folder_are_read(folder):
 
 def test_the_second_call_reads_the_cache_and_agrees_to_the_bit(folder, monkeypatch):
     first = load_motions(str(folder))
-    monkeypatch.setattr(spec, "read_many", lambda *a: pytest.fail("retargeted again"))
+    monkeypatch.setattr(loaded, "read_many", lambda *a: pytest.fail("retargeted again"))
     second = load_motions(str(folder))
     for a, b in zip(first, second, strict=True):
         np.testing.assert_array_equal(a.qpos, b.qpos)
@@ -54,7 +54,7 @@ def test_the_second_call_reads_the_cache_and_agrees_to_the_bit(folder, monkeypat
 
 
 def test_processes_that_begin_together_import_once(folder, monkeypatch):
-    began, read_many = threading.Event(), spec.read_many
+    began, read_many = threading.Event(), loaded.read_many
     calls: list[int] = []
 
     def slowly(*args, **options):
@@ -63,7 +63,7 @@ def test_processes_that_begin_together_import_once(folder, monkeypatch):
         time.sleep(0.3)
         return read_many(*args, **options)
 
-    monkeypatch.setattr(spec, "read_many", slowly)
+    monkeypatch.setattr(loaded, "read_many", slowly)
     # A lock of a file is between open files: threads stand for processes.
     first = threading.Thread(target=load_motions, args=(str(folder),))
     first.start()

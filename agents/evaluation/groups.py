@@ -25,9 +25,8 @@ from questsim.errors import InputError
 from questsim.evaluation_report import write_report
 from questsim.metrics import Rollout, summarise
 from questsim.motion.clip import Clip
-from questsim.motion.many import named
 from questsim.motion.mixture import is_mixture, load_mixture
-from questsim.motion.naming import place, unique_names
+from questsim.motion.naming import named, place, unique_names
 from questsim.motion.spec import load_motions
 from questsim.statistics import interval
 

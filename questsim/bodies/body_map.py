@@ -12,6 +12,7 @@ import numpy as np
 
 from questsim import rotations as rot
 from questsim.bodies.description import TOES, Description, read_description
+from questsim.bodies.own_body import OwnBody
 from questsim.bodies.own_mjcf import hinge_limits, own_spec
 from questsim.bodies.rest import rest_pose
 from questsim.bodies.support import Support, support_of
@@ -21,21 +22,6 @@ from questsim.skeleton import LINK_PARENTS, LINKS
 
 _STRONG = ("pelvis", "spine", "chest", "left_foot", "right_foot", *TOES)
 """The hinges up to these roles carry the body's weight."""
-
-
-@dataclass(frozen=True)
-class OwnBody:
-    """A body by its description: what configurations and checkpoints keep.
-
-    Attributes:
-        name: of the body.
-        path: of the description's file.
-        digest: of the compiled MJCF and its map; another file of the same digest is the same body.
-    """
-
-    name: str
-    path: str
-    digest: str
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from questsim import rotations as rot
-from questsim.bodies.body_map import BodyMap, OwnBody, map_of
+from questsim.bodies.body_map import BodyMap, map_of
+from questsim.bodies.own_body import OwnBody
 from questsim.bodies.solver import Solver, turn_error
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
 from questsim.files import whole_file
+from questsim.motion.cache import cache_dir
 from questsim.motion.clip import Clip
 from questsim.motion.kinematics import clip_of_links, sole_points, standing_clip
 from questsim.skeleton import LINK_PARENTS, LINKS, NUM_DOFS
@@ -98,8 +100,6 @@ def _code_digest() -> bytes:
 
 
 def _kept(key: str, body: BodyMap, clip: Clip) -> np.ndarray:
-    from questsim.motion.datasets import cache_dir  # late, for the download library it imports
-
     path, shape = cache_dir() / "bodies" / f"{key}.npy", (len(clip), 7 + len(body.dofs))
     try:
         poses = np.load(path, allow_pickle=False)

@@ -21,8 +21,9 @@ mocap software differ more, because their joints are placed differently.
 TRUNK_RATIO = (0.3, 0.9)
 """Hips to shoulders, as a share of thigh and shin. In skeletons of people measured 0.46-0.68, of
 quadrupeds 1.1-1.2."""
+PAIRS = (("thigh", "knee"), ("shin", "ankle"), ("upper arm", "elbow"), ("forearm", "wrist"))
 MAX_ASYMMETRY = 0.3
-"""Largest difference between left and right limbs as a share of their mean."""
+"""Largest difference between a left and a right bone as a share of their mean."""
 MIN_ELBOW = 0.4
 """An implausible mean backward bend of both elbows; hands behind the back stay below it."""
 MIN_BEND = 0.2
@@ -50,10 +51,10 @@ def proportion_problems(motion: Motion) -> list[str]:
             f"trunk and leg are as {ratio:.2f} to 1, not {TRUNK_RATIO[0]:g}-{TRUNK_RATIO[1]:g}: "
             "not a person's skeleton"
         )
-    for limb, bones in (("legs", ("knee", "ankle")), ("arms", ("elbow", "wrist"))):
-        sides = [sum(length[f"{side}_{bone}"] for bone in bones) for side in ("left", "right")]
+    for part, bone in PAIRS:
+        sides = [length[f"{side}_{bone}"] for side in ("left", "right")]
         if abs(sides[0] - sides[1]) > MAX_ASYMMETRY * sum(sides) / 2.0:
-            out.append(f"the left and right {limb} are {sides[0]:.2f} and {sides[1]:.2f} m long")
+            out.append(f"the left and right {part} are {sides[0]:.2f} and {sides[1]:.2f} m long")
     return out
 
 

@@ -34,6 +34,8 @@ _KEYWORDS = {
 }
 _SITE = -2
 MAX_JOINTS = 2000
+MIN_TRAVEL = 0.1
+"""Of the length of all bones together, 5 to 8 m: farther than someone sways."""
 CHUNK = 1000
 DISPLACEMENT = 0.1
 """Position channels whose median is shorter than this share of the offset are added to it."""
@@ -62,6 +64,7 @@ def read_bvh(path: str | Path, fps: float | None = None) -> Recording:
             path,
             "export with the root's position",
         )
+    _check_degrees(header, values, path)
     positions, rotations = _pose(header, values)
     return Recording(
         path=path,
@@ -73,6 +76,28 @@ def read_bvh(path: str | Path, fps: float | None = None) -> Recording:
         sha256=hashlib.sha256(data).hexdigest(),
         tips=header.tips,
     )
+
+
+def _check_degrees(header: _Header, values: np.ndarray, path: Path) -> None:
+    """Rejects rotations in radians.
+
+    Raises:
+        InputError: no rotation is above one turn in radians, but the performer travels: with angles
+            of so few degrees no leg moves.
+    """
+    channels = [channel for joint in header.channels for channel in joint]
+    turns = values[:, [channel.endswith("rotation") for channel in channels]]
+    largest = abs(turns).max(initial=0.0)
+    if not 0.0 < largest <= 2.0 * np.pi:
+        return
+    moves = values[:, [channel.endswith("position") for channel in channels]]
+    size = np.linalg.norm(np.array(header.offsets[1:]), axis=-1).sum() if header.offsets[1:] else 0
+    if np.ptp(moves, axis=0).max(initial=0.0) > MIN_TRAVEL * size:
+        raise InputError(
+            f"no rotation is above {largest:.1f}, but the performer travels: these are radians",
+            path,
+            "export degrees",
+        )
 
 
 def _nominal_fps(fps: float) -> float:
@@ -99,7 +124,6 @@ class _Header:
 def _pose(header: _Header, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positions ``(T, J, 3)`` and rotations ``(T, J, 4)`` of the frames ``(T, C)``."""
     count = len(header.names)
-    middle = np.median(values, axis=0)
     positions = np.tile(np.array(header.offsets), (len(values), 1, 1))
     rotations = np.tile([1.0, 0.0, 0.0, 0.0], (len(values), count, 1))
     turned: dict[str, list[tuple[int, list[int]]]] = {}
@@ -110,7 +134,7 @@ def _pose(header: _Header, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         moved = [channel for channel in at if channel.endswith("position")]
         if moved:
             columns = {CHANNELS.index(c): at[c] for c in moved}
-            _move(positions[:, joint], values, middle, columns, joint)
+            _move(positions[:, joint], values, columns, joint)
         order = [channel for channel in channels if channel.endswith("rotation")]
         if order:
             letters = "".join(channel[0] for channel in order)
@@ -125,7 +149,6 @@ def _pose(header: _Header, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _move(
     place: np.ndarray,
     values: np.ndarray,
-    middle: np.ndarray,
     columns: dict[int, int],
     joint: int,
 ) -> None:
@@ -134,15 +157,16 @@ def _move(
     Args:
         place: ``(T, 3)``, filled with the joint's offset.
         values: ``(T, C)`` all channels.
-        middle: ``(C,)`` their medians.
         columns: axis to column of the position channels.
         joint: index; the root is 0.
     """
     axes, given = list(columns), values[:, list(columns.values())]
     offset = place[0, axes].copy()
-    usual = middle[list(columns.values())]
-    near_zero = np.linalg.norm(usual) < DISPLACEMENT * np.linalg.norm(offset)
-    place[:, axes] = given + offset if joint and near_zero else given
+    if joint:
+        usual = np.median(given, axis=0)
+        if np.linalg.norm(usual) < DISPLACEMENT * np.linalg.norm(offset):
+            given = given + offset
+    place[:, axes] = given
 
 
 def _read_hierarchy(lines: list[str], path: Path) -> tuple[_Header, int]:
@@ -369,30 +393,31 @@ def _value_of(lines: list[str], at: int, name: str, path: Path) -> tuple[float, 
 
 def _read_values(rows: list[tuple[int, str]], num_channels: int, path: Path) -> np.ndarray:
     """The frames ``(T, C)``; every row must hold ``num_channels`` finite numbers."""
-    for number, line in rows:
-        count = len(line.split())
-        if count != num_channels:
-            raise InputError(
-                f"frame has {count} values, the channels ask for {num_channels}",
-                f"{path}, line {number + 1}",
-                AGAIN,
-            )
     values = np.empty((len(rows), num_channels))
     try:
         # Parsing in blocks is ten times faster than row by row; all rows at once need much memory.
         for begin in range(0, len(rows), CHUNK):
             chunk = [line for _, line in rows[begin : begin + CHUNK]]
-            numbers = np.array(" ".join(chunk).split(), float)
+            numbers = np.loadtxt(chunk, float, comments=None, ndmin=2)
             values[begin : begin + CHUNK] = numbers.reshape(len(chunk), num_channels)
         if np.isfinite(values).all() and abs(values).max(initial=0.0) <= MAX_LENGTH:
             return values
     except ValueError:
         pass
-    for number, line in rows:
+    # One by one, for the line of the fault; Python also reads numbers such as 1_000.
+    for index, (number, line) in enumerate(rows):
+        words = line.split()
+        if len(words) != num_channels:
+            raise InputError(
+                f"frame has {len(words)} values, the channels ask for {num_channels}",
+                f"{path}, line {number + 1}",
+                AGAIN,
+            )
         refuse = _refuse_row(path, number)
-        if abs(_numbers(line.split(), num_channels, refuse)).max(initial=0.0) > MAX_LENGTH:
+        values[index] = _numbers(words, num_channels, refuse)
+        if abs(values[index]).max(initial=0.0) > MAX_LENGTH:
             raise refuse(f"larger than {MAX_LENGTH:g}")
-    raise AssertionError
+    return values
 
 
 def _refuse_row(path: Path, number: int) -> Callable[[str], InputError]:

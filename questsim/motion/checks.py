@@ -86,6 +86,7 @@ class Report:
         skeleton: the family of the file's skeleton.
         explanation: one line for each joint: its mapping and the reason.
         foot_pitch: the skeleton family's declared pitch of the feet in radians; 0 if unknown.
+        lifted_m: how far the motion was raised onto the floor; 0 if it was near it.
     """
 
     units: str
@@ -100,6 +101,7 @@ class Report:
     skeleton: str = ""
     explanation: tuple[str, ...] = ()
     foot_pitch: float = 0.0
+    lifted_m: float = 0.0
 
     def __str__(self) -> str:
         fall = "no flight" if self.gravity is None else f"free fall {self.gravity:.1f} m/s2"

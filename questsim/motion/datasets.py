@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import hashlib
 import io
-import os
 import re
 import zipfile
 from collections.abc import Collection, Iterator
@@ -15,10 +14,9 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import urlparse
 from urllib.request import url2pathname
 
-import platformdirs
-
 from questsim.errors import InputError
 from questsim.files import whole_file
+from questsim.motion.cache import cache_dir
 
 DATA = Path(__file__).parent / "data"
 MAX_MEMBER_BYTES = 64 * 2**20
@@ -117,11 +115,6 @@ def write_manifest(dataset: Dataset, archive: Path, test: Collection[str]) -> No
 
 def _data(name: str) -> Path:
     return DATASETS[name].data or DATA
-
-
-def cache_dir() -> Path:
-    """Folder of downloads and retargeted clips: ``QUESTSIM_CACHE`` or the platform's cache."""
-    return Path(os.environ.get("QUESTSIM_CACHE") or platformdirs.user_cache_dir("questsim"))
 
 
 @lru_cache

@@ -15,8 +15,8 @@ from questsim.assets import mjcf_path
 from questsim.body import DEFAULT_HEIGHT_M, build_body
 from questsim.body_proportions import Proportions
 from questsim.files import whole_file
+from questsim.motion.cache import cache_dir
 from questsim.motion.clip import FPS, Clip
-from questsim.motion.datasets import cache_dir
 from questsim.motion.kinematics import sole_points
 from questsim.motion.synthesis.seat import SEATED_ROOT_M
 from questsim.motion.synthesis.wish import SEATED

@@ -154,7 +154,8 @@ def _array(archive: Any, path: Path, key: str, kinds: str, row: tuple[int, ...] 
     array = _read(archive, path, key)
     if array.dtype.kind not in kinds or array.ndim == 0 or array.shape[1:] != row:
         raise InputError(f"{key} is {array.dtype} of shape {array.shape}", path, AGAIN)
-    return array
+    # Half precision cannot be compared with MAX_LENGTH.
+    return array.astype(np.float32) if array.dtype == np.float16 else array
 
 
 def _parts(archive: Any, path: Path, kind: str, arrays: dict[str, tuple[int, ...]]) -> dict:

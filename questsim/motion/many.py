@@ -10,15 +10,17 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from questsim.errors import InputError
-from questsim.motion.checks import Report, jumps
-from questsim.motion.clip import Clip
+from questsim.motion.checks import Report
+from questsim.motion.clip import FPS, Clip
+from questsim.motion.doubts import doubts
 from questsim.motion.families import SMPL, add_families, registered_families
 from questsim.motion.motion import Motion
+from questsim.motion.naming import named
 from questsim.motion.reading import ReadOptions, read_motion
 from questsim.motion.skeletons import RECOGNISED
 from questsim.processes import allowed
@@ -29,12 +31,12 @@ if TYPE_CHECKING:
 MAX_ERROR_CM, MAX_EXPECTED_CM = 15.0, 20.0
 """A recognised skeleton is rejected if any joint of its clip has a larger mean error. Other
 proportions than the avatar's excuse up to ``MAX_EXPECTED_CM`` more; of people measured, 17 cm."""
+MAX_KNOWN_CM, SAMPLES = 30.0, 12
+"""The same for known skeletons, in some frames: there a file's values are wrong (radians, say)."""
 MANY = 64
 """From this many files on, a progress bar is shown and processes are used if allowed."""
 MAX_SHOWN = 20
 """How many skipped files of a motion argument are listed by name."""
-
-_Named = TypeVar("_Named", Motion, Clip)
 
 
 @dataclass(frozen=True)
@@ -66,11 +68,6 @@ class Refused:
     message: str
 
 
-def named(item: _Named, name: str) -> _Named:
-    """A motion or clip under that name."""
-    return item if item.name == name else replace(item, name=name)
-
-
 def read_and_retarget(path: Path, options: ReadOptions, with_error: bool = False) -> Retargeted:
     """Reads, checks and retargets one file."""
     from questsim.motion.retarget import retargeting_error, to_clip
@@ -79,13 +76,14 @@ def read_and_retarget(path: Path, options: ReadOptions, with_error: bool = False
     motion, report = read_motion(path, options)
     clip = to_clip(motion)
     error = retargeting_error(motion, clip) if with_error else {}
-    if report.skeleton == RECOGNISED and not options.accept:
-        check_fit(motion, clip, path)
+    if not options.accept:
+        check = check_fit if report.skeleton == RECOGNISED else check_roughly
+        check(motion, clip, path)
     stance = stance_figures(motion, clip) if with_error else None
     if stance and not stance.still:
         report = replace(report, notes=(*report.notes, _unmeasured_soles(report)))
-    warnings = (jumps(motion), *stance.warnings()) if stance else ()
-    return Retargeted(motion, clip, str(report), error, stance, tuple(filter(None, warnings)))
+    warnings = (*doubts(motion, report), *stance.warnings()) if stance else ()
+    return Retargeted(motion, clip, str(report), error, stance, warnings)
 
 
 def _unmeasured_soles(report: Report) -> str:
@@ -122,6 +120,33 @@ def check_fit(motion: Motion, clip: Clip, path: Path) -> None:
             "not what it was recognised as",
             path,
             "see import --explain, and name the joints in a mapping file",
+        )
+
+
+def check_roughly(motion: Motion, clip: Clip, path: Path) -> None:
+    """Rejects a known skeleton in poses that the avatar cannot nearly take.
+
+    Raises:
+        InputError: the mean error of a joint in some frames is above ``MAX_KNOWN_CM``.
+    """
+    from questsim.motion.retarget import retargeting_error
+
+    frames = np.unique(np.linspace(0, len(clip) - 1, SAMPLES).astype(int))
+    theirs = np.minimum(np.round(frames * motion.fps / FPS).astype(int), len(motion) - 1)
+    some = replace(
+        motion,
+        fps=FPS,  # of single frames; then they are not resampled
+        root_position=motion.root_position[theirs],
+        rotations=motion.rotations[theirs],
+    )
+    shown = replace(clip, link_position=clip.link_position[frames])
+    error = retargeting_error(some, shown)
+    joint = max(error, key=lambda name: error[name])
+    if error[joint] > MAX_KNOWN_CM:
+        raise InputError(
+            f"retargeted, the {joint} is {error[joint]:.0f} cm off on average: no one moves so",
+            path,
+            "check how it was exported: degrees, order of the rotations, up axis",
         )
 
 

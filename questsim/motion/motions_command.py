@@ -16,13 +16,14 @@ from questsim.errors import InputError
 from questsim.motion.clip import Clip
 from questsim.motion.datasets import DATASETS, fetch
 from questsim.motion.library import Library, save_library
-from questsim.motion.many import Refused, Retargeted, named, read_many
+from questsim.motion.loaded import load_libraries, split_libraries
+from questsim.motion.many import Refused, Retargeted, read_many
 from questsim.motion.motion import Motion
-from questsim.motion.naming import file_names, numbered
+from questsim.motion.naming import file_names, named, numbered
 from questsim.motion.reading import ReadOptions, explain, read_recording
 from questsim.motion.skeletons import write_mapping
 from questsim.motion.sources import KINDS, motion_files
-from questsim.motion.spec import load_libraries, load_motions, split_libraries
+from questsim.motion.spec import load_motions
 
 MAX_REPORTS = 20
 

@@ -5,7 +5,19 @@ from __future__ import annotations
 import os
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
+
+from questsim.motion.clip import Clip
+from questsim.motion.motion import Motion
+
+_Named = TypeVar("_Named", Motion, Clip)
+
+
+def named(item: _Named, name: str) -> _Named:
+    """A motion or clip under that name."""
+    return item if item.name == name else replace(item, name=name)
 
 
 def unique_names(stems: Sequence[str], folders: Sequence[tuple[str, ...]]) -> list[str]:

@@ -125,6 +125,7 @@ def _on_floor(motion: Motion, report: Report) -> tuple[Motion, Report]:
         foot_height_m=again.foot_height_m,
         problems=tuple(p for p in report.problems if not p.startswith(FEET_OFF_FLOOR)),
         notes=(*report.notes, note),
+        lifted_m=-report.foot_height_m,
     )
 
 

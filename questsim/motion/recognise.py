@@ -10,7 +10,7 @@ positions stay the same.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -54,7 +54,9 @@ class _Tree:
     names: list[Name]
     parents: list[int]
     place: np.ndarray
-    """Positions of the joints ``(J, 3)`` with all rotations zero."""
+    """Positions ``(T, J, 3)`` of the joints in some of the frames. With all rotations zero, joints
+    that have axes of their own lie anywhere."""
+    lengths: dict[tuple[int, int], float] = field(default_factory=dict)
 
     def children(self, joint: int) -> list[int]:
         return [j for j, parent in enumerate(self.parents) if parent == joint]
@@ -76,7 +78,11 @@ class _Tree:
         return [leaf for child in below for leaf in self.leaves(child)] if below else [joint]
 
     def length(self, a: int, b: int) -> float:
-        return float(np.linalg.norm(self.place[b] - self.place[a]))
+        """Median distance of two joints."""
+        if (a, b) not in self.lengths:
+            distance = np.linalg.norm(self.place[:, b] - self.place[:, a], axis=-1)
+            self.lengths[a, b] = float(np.median(distance))
+        return self.lengths[a, b]
 
 
 def with_ends(recording: Recording) -> Recording:
@@ -200,16 +206,12 @@ def _without_ends(recording: Recording) -> Recording:
 def _tree(recording: Recording) -> _Tree:
     parents = [int(parent) for parent in recording.parents]
     names = understand([name.removesuffix(END) for name in recording.names])
-    offsets = np.median(recording.positions, axis=0)
-    place = np.zeros_like(offsets)
-    for joint, parent in enumerate(parents):
-        if parent >= 0:
-            place[joint] = place[parent] + offsets[joint]
     ended = [n.endswith(END) for n in recording.names]
     names = [
         replace(name, key="", part=name.part) if end else name
         for name, end in zip(names, ended, strict=True)
     ]
+    place, _ = global_pose(some_frames(recording))
     return _Tree(names, parents, place)
 
 
@@ -312,9 +314,8 @@ def _fold(tree: _Tree, spine: list[int], hips: int, neck: int, found: dict[str, 
     """Adds up to three of the file's spine joints: first, middle and last."""
     if not spine:
         return
-    place = tree.place
     total = max(tree.length(hips, neck), 1e-9)
-    share = [float(np.linalg.norm(place[joint] - place[hips])) / total for joint in spine]
+    share = [tree.length(hips, joint) / total for joint in spine]
     if len(spine) == 1:
         found["spine1" if share[0] < 0.35 else "spine2"] = spine[0]
     elif len(spine) == 2:

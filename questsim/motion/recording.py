@@ -88,7 +88,8 @@ def decode(data: bytes, path: Path) -> str:
         raise InputError("is not a text file", path, "give a motion file")
     else:
         # Japanese letters form runs of high bytes; accented letters stand alone among ASCII.
-        high = re.findall(rb"[\x80-\xff]+", data[:100_000])
+        begin = data[:100_000]
+        high = [] if begin.isascii() else re.findall(rb"[\x80-\xff]+", begin)
         rows = sum(len(run) > 1 for run in high) > len(high) / 2
         encodings = ["utf-8-sig", *(["shift_jis"] if rows else []), "latin-1"]
     for encoding in encodings:

@@ -19,6 +19,9 @@ from questsim.skeleton import JOINTS
 RECOGNISED = "recognised"
 AGREE = np.cos(np.radians(45.0))
 """A declared axis may differ from the file's bone by 45 degrees; zero poses splay legs up to 25."""
+MAX_TURN = np.radians(15.0)
+"""The zero pose may be turned or lean by less against the declared axes; it is 0 in all families'
+own files."""
 JUMP_M, JUMP_RATIO = 0.12, 4.0
 """Between a rest pose and the motion, joints jump further than this and than in later frames."""
 TURNED = np.radians(2.0)
@@ -108,20 +111,24 @@ def _contradiction(recording: Recording, family: Family) -> str:
         {joint: quat[:, j] for joint, j in index.items()},
     )
 
-    def along(upper: str, lower: str, direction: tuple[float, float, float]) -> bool:
-        axes = axes_matrix(family.axes_of(upper))
-        bone = unit(axes.T @ found[JOINTS.index(lower)])
-        return float(bone @ np.array(direction)) > AGREE
+    def seen(upper: str, bone: np.ndarray) -> np.ndarray:
+        return unit(axes_matrix(family.axes_of(upper)).T @ bone)
 
-    for side, left in (("left", 1.0), ("right", -1.0)):
+    def along(upper: str, lower: str, direction: tuple[float, float, float]) -> bool:
+        return float(seen(upper, found[JOINTS.index(lower)]) @ np.array(direction)) > AGREE
+
+    hips = [found[JOINTS.index(f"{side}_hip")] for side in ("left", "right")]
+    if seen("root", hips[0] - hips[1])[1] < np.cos(MAX_TURN):
+        return f"the hips do not lie as {family.name} files have them"
+    thighs = [seen(f"{s}_hip", found[JOINTS.index(f"{s}_knee")]) for s in ("left", "right")]
+    if abs(unit(thighs[0] + thighs[1])[0]) > np.sin(MAX_TURN):
+        return f"the legs do not hang as {family.name} files have them"
+    for side in ("left", "right"):
         if not (
             along(f"{side}_hip", f"{side}_knee", (0.0, 0.0, -1.0))
             and along(f"{side}_knee", f"{side}_ankle", (0.0, 0.0, -1.0))
         ):
             return f"the legs do not hang as {family.name} files have them"
-        axes = axes_matrix(family.axes_of("root"))
-        if (axes.T @ found[JOINTS.index(f"{side}_hip")])[1] * left <= 0.0:
-            return f"the {side} hip is not where {family.name} files have it"
     return ""
 
 

@@ -108,16 +108,18 @@ def from_lean(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarra
     return rot.quat_multiply(rot.yaw_quat(yaw), rot.quat_multiply(about_y, about_x))
 
 
-def usual_lean(feet: np.ndarray, still: np.ndarray, max_pitch: float = MAX_PITCH) -> np.ndarray:
-    """``(2, 2)`` each foot's pitch and roll while it stands, 0 where that is not known.
+def usual_lean(
+    pitch: np.ndarray, roll: np.ndarray, still: np.ndarray, max_pitch: float = MAX_PITCH
+) -> np.ndarray:
+    """``(2, 2)`` each foot's usual pitch and roll while it stands, 0 where that is not known.
 
-    The median over still frames, and of those near it again, so that heel strike and toe-off do
-    not count. A foot that is never still is taken to be the other one in the mirror.
+    Of ``lean`` ``(T, 2)`` in the frames ``still`` ``(T, 2)``: the median, and that of the frames
+    near it, so that heel strike and toe-off do not count. A foot that is never still is taken to be
+    the other one in the mirror.
     """
-    _, *angles = lean(feet)
     out = np.full((2, 2), np.nan)
     for foot in range(2):
-        both = np.stack([angle[still[:, foot], foot] for angle in angles])
+        both = np.stack([angle[still[:, foot], foot] for angle in (pitch, roll)])
         if both.shape[1] < 2 * MIN_STILL_FRAMES:
             continue
         middle = np.median(both, axis=1, keepdims=True)
@@ -144,9 +146,10 @@ def measure_soles(
     ratio = height / DEFAULT_HEIGHT_M
     still = still_feet(ankles, feet, height)
     low = still & (ankles[..., 2] < flat_ankle_m + LOW_ANKLE_M[0] * ratio)
-    leans, low_ankle_m = usual_lean(feet, low, MAX_FLAT_PITCH), flat_ankle_m
+    _, pitch, roll = lean(feet)
+    leans, low_ankle_m = usual_lean(pitch, roll, low, MAX_FLAT_PITCH), flat_ankle_m
     if np.abs(leans[:, 0]).max() < STEEP_PITCH or 2 * low.sum() < still.sum():
-        leans, low_ankle_m = usual_lean(feet, still), -np.inf
+        leans, low_ankle_m = usual_lean(pitch, roll, still), -np.inf
     turn = rot.quat_conjugate(from_lean(np.zeros(2), leans[:, 0], leans[:, 1]))
     # Who runs or slides all the time has hardly a still foot: the heights of slow feet must do.
     if still.any(axis=1).mean() < MIN_STILL_SHARE:

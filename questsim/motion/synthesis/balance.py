@@ -10,8 +10,7 @@ turn; in flight, where ``z'' = -g``, a straight line.
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import solve_banded
-from scipy.ndimage import gaussian_filter1d, minimum_filter1d
+import scipy  # it imports its parts on first use
 
 from questsim.motion.synthesis.feet import Feet
 from questsim.motion.synthesis.gait_curves import GRAVITY, Gait
@@ -42,7 +41,9 @@ def balanced_path(cop: np.ndarray, height: np.ndarray, time: np.ndarray) -> np.n
     diagonal[[0, -1]] = 1.0
     above, below = beside.copy(), beside.copy()
     above[[0, 1]], below[[-1, -2]] = 0.0, 0.0
-    return solve_banded((1, 1), np.stack([above, diagonal, below]), support[:, None] * cop)
+    return scipy.linalg.solve_banded(
+        (1, 1), np.stack([above, diagonal, below]), support[:, None] * cop
+    )
 
 
 def settle(
@@ -101,7 +102,7 @@ def _swing_moment(centers: np.ndarray, share: np.ndarray, step: float) -> np.nda
         return moment / np.maximum(force, 0.3 * GRAVITY)[:, None]
 
     middle = np.einsum("l,tlk->tk", share, centers)[:, None]
-    return gaussian_filter1d(
+    return scipy.ndimage.gaussian_filter1d(
         pressure(centers, share) - pressure(middle, np.ones(1)), 0.03 / step, axis=0
     )
 
@@ -109,8 +110,8 @@ def _swing_moment(centers: np.ndarray, share: np.ndarray, step: float) -> np.nda
 def lowering(excess: np.ndarray, time: np.ndarray) -> np.ndarray:
     """A smooth upper bound of the excess height ``(T,)``."""
     frames = 0.03 / (time[1] - time[0])
-    wide = -minimum_filter1d(-excess.clip(0.0), 2 * int(np.ceil(3.0 * frames)) + 1)
-    return gaussian_filter1d(wide, frames, truncate=3.0)
+    wide = -scipy.ndimage.minimum_filter1d(-excess.clip(0.0), 2 * int(np.ceil(3.0 * frames)) + 1)
+    return scipy.ndimage.gaussian_filter1d(wide, frames, truncate=3.0)
 
 
 def walking_height(gait: Gait, steps: Steps, standing: float) -> np.ndarray:

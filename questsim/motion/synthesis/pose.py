@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M, build_body
 from questsim.motion.kinematics import link_poses
 from questsim.motion.synthesis.feet import Feet, leg_lengths
 from questsim.skeleton import DOFS
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 FULL_STRETCH, JOGGING_STRETCH = 0.9985, 0.99
 """Maximum extension of a leg as a share of its length. Beyond it the knee would snap; joggers land
@@ -60,7 +63,7 @@ def world(heading: np.ndarray, ypr: np.ndarray) -> Rotation:
     """Rotations of a link that is turned by ``(T, 3)`` yaw, pitch, roll against the heading."""
     angles = ypr.copy()
     angles[:, 0] += heading
-    return Rotation.from_euler("ZYX", angles)
+    return rot.from_euler("ZYX", angles)
 
 
 def hips(root: np.ndarray, pelvis: Rotation) -> np.ndarray:
@@ -81,7 +84,7 @@ def solve(posture: Posture, root: np.ndarray, feet: Feet) -> np.ndarray:
     for foot, hip in enumerate(hips(root, pelvis)):
         angles[:, 6 * foot : 6 * foot + 6] = _leg(hip, pelvis, feet, foot)
     # The trunk bends equally below and above the waist.
-    half = Rotation.from_rotvec((pelvis.inv() * chest).as_rotvec() / 2.0).as_euler("YXZ")
+    half = rot.from_rotvec((pelvis.inv() * chest).as_rotvec() / 2.0).as_euler("YXZ")
     angles[:, dof("spine_y") : dof("spine_y") + 3] = half
     angles[:, dof("chest_y") : dof("chest_y") + 3] = half
     neck = (chest.inv() * head).as_euler("YXZ")
@@ -98,9 +101,9 @@ def _leg(hip: np.ndarray, pelvis: Rotation, feet: Feet, foot: int) -> np.ndarray
     """``(T, 6)`` angles of a leg: three of the hip, knee, two of the ankle, in closed form."""
     thigh, shank, _ = leg_lengths()
     yaw, pitch = feet.yaw[foot], feet.pitch[foot]
-    seen = Rotation.from_euler("Z", -yaw[:, None]).apply(hip - feet.ankle[foot])
+    seen = rot.from_euler("Z", -yaw[:, None]).apply(hip - feet.ankle[foot])
     roll = feet.hanging[foot] * np.arctan2(-seen[:, 1], seen[:, 2])
-    attitude = Rotation.from_euler("ZXY", np.stack([yaw, roll, pitch], axis=-1))
+    attitude = rot.from_euler("ZXY", np.stack([yaw, roll, pitch], axis=-1))
     to_hip = attitude.inv().apply(hip - feet.ankle[foot])
     distance = np.minimum(np.linalg.norm(to_hip, axis=-1), (thigh + shank) * (1.0 - 1e-6))
     cos_knee = (distance**2 - thigh**2 - shank**2) / (2.0 * thigh * shank)
@@ -111,26 +114,26 @@ def _leg(hip: np.ndarray, pelvis: Rotation, feet: Feet, foot: int) -> np.ndarray
     ankle_x = np.arctan2(to_hip[:, 1], to_hip[:, 2])
     depth = np.hypot(to_hip[:, 1], to_hip[:, 2])
     ankle_y = np.arctan2(x, z) - np.arctan2(to_hip[:, 0], depth)
-    shin = attitude * Rotation.from_euler("X", -ankle_x[:, None]) * _about_y(-ankle_y)
+    shin = attitude * rot.from_euler("X", -ankle_x[:, None]) * _about_y(-ankle_y)
     hip_angles = (pelvis.inv() * shin * _about_y(-knee)).as_euler("YXZ")
     return np.column_stack([hip_angles, knee, ankle_y, ankle_x])
 
 
 def _about_y(angle: np.ndarray) -> Rotation:
-    return Rotation.from_euler("Y", angle[:, None])
+    return rot.from_euler("Y", angle[:, None])
 
 
 def shoulder_angles(upper: np.ndarray, side: int) -> np.ndarray:
     """Hinge angles ``(T, 3)`` of a shoulder for orientations ``(T, 4)`` in the chest's frame."""
-    turn = Rotation.from_euler("z", _SHOULDER_TURN[side])
+    turn = rot.from_euler("z", _SHOULDER_TURN[side])
     euler = (turn.inv() * rot.as_rotation(upper) * turn).as_euler("XYZ")
     return np.unwrap(euler, axis=0)
 
 
 def upper_arm(angles: np.ndarray, side: int) -> np.ndarray:
     """Orientations ``(T, 4)`` in the chest's frame for a shoulder's hinge angles ``(T, 3)``."""
-    turn = Rotation.from_euler("z", _SHOULDER_TURN[side])
-    return rot.as_quat(turn * Rotation.from_euler("XYZ", angles) * turn.inv())
+    turn = rot.from_euler("z", _SHOULDER_TURN[side])
+    return rot.as_quat(turn * rot.from_euler("XYZ", angles) * turn.inv())
 
 
 def highest_root(

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
-from scipy.spatial.transform import Rotation
+import scipy  # it imports its parts on first use
 
 from questsim import rotations as rot
 from questsim.motion.synthesis.gait_curves import Gait
@@ -24,9 +23,7 @@ def arm(flexion: np.ndarray, abduction: np.ndarray, twist: np.ndarray, elbow: np
         side: int) -> Arm:  # fmt: skip
     """An arm from anatomical angles ``(T,)`` in radians; ``twist`` turns the forearm inward."""
     sign = 1.0 if side == 0 else -1.0
-    upper = Rotation.from_euler(
-        "YXZ", np.stack([-flexion, sign * abduction, -sign * twist], axis=-1)
-    )
+    upper = rot.from_euler("YXZ", np.stack([-flexion, sign * abduction, -sign * twist], axis=-1))
     return Arm(rot.as_quat(upper), elbow, np.zeros((len(elbow), 2)))
 
 
@@ -65,7 +62,7 @@ def _bank(path: Path) -> np.ndarray:
     """Lean of the trunk into a curve, in addition to the balanced path of the centre of mass."""
     pull = path.velocity[:, 0] * path.turn_rate / 9.81
     frames = 0.15 / (path.time[1] - path.time[0])
-    return gaussian_filter1d(-0.6 * np.arctan(pull), frames, mode="nearest")
+    return scipy.ndimage.gaussian_filter1d(-0.6 * np.arctan(pull), frames, mode="nearest")
 
 
 def _swinging(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
+import scipy  # it imports its parts on first use
 
 from questsim.motion.synthesis.actions import pulse
 from questsim.motion.synthesis.feet import Feet
@@ -290,7 +290,7 @@ def jump(time: np.ndarray, seconds: float, rng: np.random.Generator) -> Action:
     gesture.chest[:, 1] = np.deg2rad(rng.uniform(16.0, 30.0)) * sunk * min(depth / 0.2, 1.2)
     # Arms go back with the crouch and forward and up with the push.
     lead = np.interp(time + 0.12, time, rise)
-    up = np.clip(gaussian_filter1d(lead, 3.0) / 0.12, -1.2, 1.0)
+    up = np.clip(scipy.ndimage.gaussian_filter1d(lead, 3.0) / 0.12, -1.2, 1.0)
     flexion = np.deg2rad(rng.uniform(20.0, 60.0)) * up
     even = np.ones(len(time))
     arms = [

@@ -26,7 +26,7 @@ from questsim.motion.synthesis.feet import feet_paths
 from questsim.motion.synthesis.footwork import perform
 from questsim.motion.synthesis.gait_curves import Gait, gait_at
 from questsim.motion.synthesis.gestures import GESTURES, WALKABLE, Gesture
-from questsim.motion.synthesis.kept import kept_poses
+from questsim.motion.synthesis.kept import kept_clip
 from questsim.motion.synthesis.plan import Path, loads, plan_steps, smoothstep, standing
 from questsim.motion.synthesis.posture import add_gesture, idle, locomotion, sway
 from questsim.motion.synthesis.seat import seated_poses
@@ -97,15 +97,12 @@ def _clips(made: list[tuple[str, str, np.ndarray, float]]) -> list[Clip]:
         qpos = qpos.copy()
         qpos[:, :3] *= height / DEFAULT_HEIGHT_M
         scaled.append(qpos)
-    about = [
-        {
-            "source": "synthetic (questsim.motion.synthesis)",
-            "licence": "MIT",
-            "kind": kind,
-        }
-        for _, kind, _, _ in made
-    ]
+    about = [_about(kind) for _, kind, _, _ in made]
     return clips_from_qpos([m[0] for m in made], scaled, [m[3] for m in made], about)
+
+
+def _about(kind: str) -> dict[str, str]:
+    return {"source": "synthetic (questsim.motion.synthesis)", "licence": "MIT", "kind": kind}
 
 
 def _poses(wish: Wish, rng: np.random.Generator) -> np.ndarray:
@@ -315,8 +312,13 @@ def seated_clips(seed: int = 0) -> list[Clip]:
 @lru_cache(maxsize=512)
 def _kept_clip(name: str, wish: Wish, height_m: float, seeds: tuple[int, ...]) -> Clip:
     """A cached clip of the library; callers get writable copies."""
-    poses = kept_poses(f"{wish} {seeds}", lambda: _poses(wish, np.random.default_rng(list(seeds))))
-    return _clips([(name, wish.kind, poses, height_m)])[0]
+
+    def make() -> Clip:
+        poses = _poses(wish, np.random.default_rng(list(seeds)))
+        return _clips([(name, wish.kind, poses, height_m)])[0]
+
+    about = {"name": name, "height_m": height_m, **_about(wish.kind)}
+    return kept_clip(f"{wish} {seeds} {height_m}", about, make)
 
 
 def _copied(clip: Clip) -> Clip:
