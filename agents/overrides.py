@@ -62,9 +62,10 @@ def _changed(holder: Any, names: list[str], value: Any, path: str) -> Any:
     name, rest = names[0], names[1:]
     known = _children(holder)
     if name not in known:
-        raise InputError(
-            f"there is no {name!r} in the preset", f"{WHERE} {path}", f"it has {', '.join(known)}"
-        )
+        fix = f"it has {', '.join(known)}"
+        if path.endswith(f".reward.{name}"):
+            fix += "; for a term of your own, name its module in QUESTSIM_EXTENSIONS"
+        raise InputError(f"there is no {name!r} in the preset", f"{WHERE} {path}", fix)
     old = known[name]
     if not rest and value is None and not _may_be_none(holder, name):
         raise InputError("needs a value", f"{WHERE} {path}", f"it is now {old!r}")

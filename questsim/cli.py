@@ -233,7 +233,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("\n".join(f"questsim {name}: {COMMANDS[name].help}" for name in family))
         return 0
     known = ", ".join(family or COMMANDS)
-    return _refuse(f"no command {' '.join(words[:2])!r}; there are: {known}")
+    asked = " ".join([words[0], *(word for word in words[1:2] if not word.startswith("-"))])
+    return _refuse(f"no command {asked!r}; there are: {known}; try: questsim --help")
 
 
 def _run_named(name: str, argv: Sequence[str]) -> int:

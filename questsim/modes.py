@@ -71,7 +71,7 @@ class Modes(NamedTuple):
         """
         mode, rest = self.chosen(words)
         others = "; ".join(other.name for other in self.modes if other is not mode)
-        text = f"{(mode.args.__doc__ or '').strip()} For other options: {others}, and --help."
+        text = f"{(mode.args.__doc__ or '').strip()} For other options: {others}, each with --help."
         return mode.function(parse(mode.args, rest, prog, text))
 
 

@@ -36,11 +36,12 @@ def test_no_command_prints_the_help_and_is_an_error(capsys):
     assert "questsim train" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("words", [["fly"], ["motions"], ["motions", "fly"]])
+@pytest.mark.parametrize("words", [["fly"], ["fly", "--help"], ["motions"], ["motions", "fly"]])
 def test_unknown_command_is_refused_in_one_line(words, capsys):
     assert cli.main(words) == 2
     error = capsys.readouterr().err
-    assert error.startswith("error: no command") and error.count("\n") == 1
+    asked = " ".join(word for word in words if word != "--help")
+    assert error.startswith(f"error: no command {asked!r};") and error.count("\n") == 1
     assert "motions import" in error
 
 

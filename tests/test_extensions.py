@@ -157,7 +157,8 @@ def test_a_module_without_a_package_is_recorded_by_its_content(package: Path, mo
 
 def test_a_system_is_listed_with_the_others(package: Path, capsys) -> None:
     assert main(["agents"]) == 0
-    assert "Outsider (nobody, 2026)" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert text.startswith("agent ") and "Outsider (nobody, 2026)" in text
 
 
 def test_an_extension_that_is_not_there_is_refused(monkeypatch, capsys) -> None:

@@ -127,11 +127,17 @@ def list_agents(args: AgentsArgs) -> None:
     if args.json:
         print(json.dumps(entries, indent=1))
         return
+    rows = [("agent", "preset", "size", "weights", "licence of the weights", "sensors", "what")]
     for entry in entries:
         weights = "shipped" if entry["weights"] else "not trained"
         if not entry["parameters"]:
             weights = "needs none"
-        print(
-            f"{entry['agent']:21} {entry['preset']:6} {entry['parameters'] / 1e6:7.2f} M  "
-            f"{weights:11}  {entry['licence']:14} {', '.join(entry['sensors']):30} {entry['title']}"
-        )
+        sensors, size = ", ".join(entry["sensors"]), f"{entry['parameters'] / 1e6:.2f} M"
+        words = (entry["agent"], entry["preset"], size, weights, entry["licence"], sensors)
+        rows.append((*words, entry["title"]))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=True)]
+        print("  ".join(cells).rstrip())
+    print("sensors: H headset, 2C two controllers, IMU inertial sensor, 6T six trackers;")
+    print("reference: the full-body motion. To watch one: questsim demo --agent NAME")

@@ -131,7 +131,8 @@ def import_motions(args: ImportArgs) -> None:
         results = list(done.values())
         _print_errors(results)
         _print_stances(results)
-    print(f"{len(clips)} clips, {sum(c.duration for c in clips):.0f} s, in {out}{skipped}")
+    count = f"{len(clips)} clip{'s' if len(clips) != 1 else ''}"
+    print(f"{count}, {sum(c.duration for c in clips):.0f} s, in {out}{skipped}")
 
 
 @dataclass

@@ -60,10 +60,10 @@ def show_clip(args: ShowArgs) -> None:
         base = args.out / file_name(clip.name)
         sheet, film = base.with_name(f"{base.name}.png"), base.with_name(f"{base.name}.mp4")
         contact_sheet(clip, sheet, args.columns)
-        print(sheet)
+        print(sheet, flush=True)
         feet = base.with_name(f"{base.name}-feet.png")
         feet_sheet(clip, feet, args.columns)
-        print(feet)
+        print(feet, flush=True)
         if args.video and find_gl():
             frames = clip_frames(clip, args.width, args.height, args.stride)
             write_video(film, frames, FPS / args.stride)
