@@ -16,7 +16,7 @@ from questsim.avatar_pose import AvatarPose
 from questsim.errors import InputError
 from questsim.motion.kinematics import clip_from_qpos, standing_clip
 from questsim.osc.receiver import VmcReceiver
-from questsim.osc.senders import Target, VmcPerformer, VrchatTrackers, unity_euler
+from questsim.osc.senders import Destination, VmcPerformer, VrchatTrackers, unity_euler
 from questsim.skeleton import DOFS, LINKS
 
 
@@ -59,7 +59,7 @@ def wait_for(condition, seconds: float = 20.0) -> None:
 
 def sent(sender_class, pose: AvatarPose, count: int) -> list[tuple]:
     with listening() as (port, got):
-        sender_class(Target("127.0.0.1", port)).send(pose)
+        sender_class(Destination("127.0.0.1", port)).send(pose)
         wait_for(lambda: len(got) >= count)
         time.sleep(0.05)
     assert len(got) == count
@@ -141,7 +141,7 @@ def test_euler_angles_turn_about_z_then_x_then_y():
 
 
 def test_nobody_listening_does_not_disturb():
-    sender = VmcPerformer(Target("127.0.0.1", 9))
+    sender = VmcPerformer(Destination("127.0.0.1", 9))
     for _ in range(5):
         sender.send(pose_of())
 
@@ -149,12 +149,12 @@ def test_nobody_listening_does_not_disturb():
 @pytest.mark.parametrize("text", ["host.invalid:9000", "127.0.0.1:0", "127.0.0.1:x", "224.0.0.1"])
 def test_target_that_is_no_address_is_refused(text):
     with pytest.raises(InputError, match="--vmc"):
-        Target.of(text, 39539, "--vmc")
+        Destination.of(text, 39539, "--vmc")
 
 
 def test_target_is_this_machine_unless_told():
-    assert Target.of("", 39539, "--vmc") == Target("127.0.0.1", 39539)
-    assert Target.of(":9001", 39539, "--vmc") == Target("127.0.0.1", 9001)
+    assert Destination.of("", 39539, "--vmc") == Destination("127.0.0.1", 39539)
+    assert Destination.of(":9001", 39539, "--vmc") == Destination("127.0.0.1", 9001)
 
 
 def test_devices_of_another_program_become_frames_in_our_axes():
@@ -192,5 +192,5 @@ def test_rubbish_over_osc_is_counted_and_the_receiver_goes_on():
 def test_pose_is_not_changed_by_sending_it():
     pose = pose_of()
     copy = replace(pose, link_quat=pose.link_quat.copy())
-    VrchatTrackers(Target("127.0.0.1", 9)).send(pose)
+    VrchatTrackers(Destination("127.0.0.1", 9)).send(pose)
     assert np.array_equal(copy.link_quat, pose.link_quat)

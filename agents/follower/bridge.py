@@ -38,7 +38,7 @@ MAX_SPEED_M_S = 3.0
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 
 
-class Moment(NamedTuple):
+class DeviceMoment(NamedTuple):
     """The devices in one moment.
 
     Attributes:
@@ -101,7 +101,7 @@ class Bridge:
         self.alignment = Alignment(0.0, np.zeros(3))
         self.events: list[str] = []
         self.late = 0
-        self._last: Moment | None = None
+        self._last: DeviceMoment | None = None
         self._begin_clock(0.0)
         self._path: deque[tuple[float, np.ndarray]] = deque(maxlen=16)
         self._away_s = 0.0
@@ -117,7 +117,7 @@ class Bridge:
         speed[2] = 0.0
         return speed * min(1.0, MAX_SPEED_M_S / max(float(np.linalg.norm(speed)), 1e-9))
 
-    def push(self, frame: DeviceFrame) -> list[Moment]:
+    def push(self, frame: DeviceFrame) -> list[DeviceMoment]:
         """The moments due after ``frame`` arrives, for at most ``BRIDGE_S``."""
         last = self._last
         if last is not None and frame.time_s <= last.time_s:
@@ -154,11 +154,11 @@ class Bridge:
             self._ease_from(last, position, quat)
         position, quat = self._slipped(position, quat, step)
         position, quat = self._silent.filled(position, quat, present, step)
-        now = Moment(frame.time_s, position, quat, present, False)
+        now = DeviceMoment(frame.time_s, position, quat, present, False)
         self._path.append((now.time_s, position[0].copy()))
         return self._go_on(last, now, step)
 
-    def _first(self, frame: DeviceFrame) -> list[Moment]:
+    def _first(self, frame: DeviceFrame) -> list[DeviceMoment]:
         """Restart as soon as the headset reports."""
         if "headset" not in frame.poses:
             self._last = None
@@ -167,7 +167,7 @@ class Bridge:
         self._path.clear()
         position, quat, present = self._arrays(frame)
         position, quat = self._silent.begin(position, quat, present)
-        now = Moment(frame.time_s, position, quat, present, True)
+        now = DeviceMoment(frame.time_s, position, quat, present, True)
         self._begin_clock(now.time_s)
         self._path.append((now.time_s, position[0].copy()))
         self._last = now._replace(fresh=False)
@@ -177,7 +177,7 @@ class Bridge:
         """Start the fixed-rate moments after this time."""
         self._origin_s, self._count = time_s, 1
 
-    def _go_on(self, last: Moment, now: Moment, step: float) -> list[Moment]:
+    def _go_on(self, last: DeviceMoment, now: DeviceMoment, step: float) -> list[DeviceMoment]:
         """Moments after ``last`` up to ``now``; none for a gap too long to bridge."""
         self._last = now
         if step > BRIDGE_S:
@@ -202,7 +202,7 @@ class Bridge:
                 position[row], quat[row], present[row] = pose.position, pose.quat, True
         return *self.alignment.apply(position, quat), present
 
-    def _realign(self, last: Moment, frame: DeviceFrame) -> None:
+    def _realign(self, last: DeviceMoment, frame: DeviceFrame) -> None:
         """Choose the alignment that keeps the headset at its last pose."""
         pose = frame.poses["headset"]
         yaw = _yaw_between(pose.quat, last.quat[0])
@@ -212,7 +212,7 @@ class Bridge:
         self.alignment = Alignment(yaw, shift)
         self.events.append("the headset jumped: the avatar is carried along")
 
-    def _ease_from(self, last: Moment, position: np.ndarray, quat: np.ndarray) -> None:
+    def _ease_from(self, last: DeviceMoment, position: np.ndarray, quat: np.ndarray) -> None:
         """Blend from the user's last pose to the present one."""
         self._slip = last.position[0] - position[0]
         self._slip_yaw = _yaw_between(quat[0], last.quat[0])
@@ -286,9 +286,11 @@ class SilentDevices:
         return out, out_quat
 
 
-def _between(a: Moment, b: Moment, share: float, time_s: float) -> Moment:
+def _between(a: DeviceMoment, b: DeviceMoment, share: float, time_s: float) -> DeviceMoment:
     position = (1.0 - share) * a.position + share * b.position
-    return Moment(time_s, position, _blend(a.quat, b.quat, share), a.present & b.present, False)
+    return DeviceMoment(
+        time_s, position, _blend(a.quat, b.quat, share), a.present & b.present, False
+    )
 
 
 def _blend(a: np.ndarray, b: np.ndarray, share: float | np.ndarray) -> np.ndarray:

@@ -58,7 +58,7 @@ AGAIN = "calibrate again"
 
 
 @dataclass(frozen=True)
-class Mount:
+class DeviceMount:
     """The transform from a device's reported pose to the pose of the avatar's device.
 
     Attributes:
@@ -91,7 +91,7 @@ class Calibration:
     height_m: float
     floor_m: float = 0.0
     heading_rad: float = 0.0
-    mounts: Mapping[str, Mount] = field(default_factory=dict)
+    mounts: Mapping[str, DeviceMount] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not MIN_HEIGHT_M <= self.height_m <= MAX_HEIGHT_M:
@@ -243,10 +243,10 @@ def _height_and_floor(
     return height_m, floor
 
 
-def _mount(offset: np.ndarray, turn: np.ndarray) -> Mount:
+def _mount(offset: np.ndarray, turn: np.ndarray) -> DeviceMount:
     x, y, z = map(float, offset)
     w, a, b, c = map(float, turn)
-    return Mount((x, y, z), (w, a, b, c))
+    return DeviceMount((x, y, z), (w, a, b, c))
 
 
 def _still(frames: Sequence[DeviceFrame], name: str) -> DevicePose | None:
@@ -296,7 +296,7 @@ def _hand_mount(
     turn: np.ndarray,
     pose: str,
     axis: ForearmAxis | None,
-) -> Mount:
+) -> DeviceMount:
     """Mount of a controller, from its pose while the arm hangs straight.
 
     The exact arm angle and the grip are unknown. Both are estimated together with priors around

@@ -17,7 +17,7 @@ from agents.agent import Agent
 from agents.follower.scene import PLAIN, Scene
 from agents.follower.states import (
     NO_OBJECTS,
-    State,
+    AvatarState,
     between_poses,
     between_qpos,
     resting_state,
@@ -104,7 +104,7 @@ class Engine(ABC):
     @abstractmethod
     def feed(
         self, time_s: float, position: np.ndarray, quat: np.ndarray, present: np.ndarray
-    ) -> State | None:
+    ) -> AvatarState | None:
         """Process the next moment of the devices; the new state, or None if none is due.
 
         Args:
@@ -151,7 +151,7 @@ class SimulatedEngine(Engine):
         assert self._assist is not None
         self._assist.reset()
 
-    def _step(self, headset: tuple[np.ndarray, np.ndarray], time_s: float) -> State:
+    def _step(self, headset: tuple[np.ndarray, np.ndarray], time_s: float) -> AvatarState:
         """One step of physics; the simulation's window is already advanced.
 
         Args:
@@ -163,7 +163,7 @@ class SimulatedEngine(Engine):
         apart = float(np.linalg.norm(headset[0] - headsets(sim)[0]))
         assist.apply(headset[0][None], headset[1][None])
         sim.step(self._agent.act(sim.look()))
-        return State(
+        return AvatarState(
             time_s=time_s,
             qpos=sim.qpos[0, :QPOS].copy(),
             contact_force=sim.contact_force[0].copy(),
@@ -229,7 +229,7 @@ class TorqueEngine(SimulatedEngine):
 
     def feed(
         self, time_s: float, position: np.ndarray, quat: np.ndarray, present: np.ndarray
-    ) -> State | None:
+    ) -> AvatarState | None:
         """See ``Engine``."""
         self._sim.show_devices(position, quat)
         position, quat = self._sim.shown_devices()
@@ -277,7 +277,7 @@ class PoseEngine(Engine):
 
     def feed(
         self, time_s: float, position: np.ndarray, quat: np.ndarray, present: np.ndarray
-    ) -> State | None:
+    ) -> AvatarState | None:
         """See ``Engine``."""
         self._user = position, quat
         qpos = self._poses.retargeted(self._poses.feed(position, quat, present))
@@ -356,7 +356,7 @@ class PhysicsEngine(SimulatedEngine):
 
     def feed(
         self, time_s: float, position: np.ndarray, quat: np.ndarray, present: np.ndarray
-    ) -> State | None:
+    ) -> AvatarState | None:
         """See ``Engine``."""
         pose = self._poses.feed(position, quat, present)
         before, self._pose = self._pose or pose, pose

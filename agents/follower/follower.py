@@ -10,12 +10,12 @@ import mujoco
 import numpy as np
 
 from agents.agent import Agent
-from agents.follower.bridge import Bridge, Moment
+from agents.follower.bridge import Bridge, DeviceMoment
 from agents.follower.calibration import Calibration, calibrate
 from agents.follower.engines import Engine, PhysicsEngine, PoseEngine, TorqueEngine
 from agents.follower.scene import PLAIN, Scene
 from agents.follower.stance import estimated_pose
-from agents.follower.states import State, between_states, resting_state
+from agents.follower.states import AvatarState, between_states, resting_state
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.store import load_system
 from agents.loading import load_agent
@@ -124,7 +124,7 @@ class Follower:
         assert self.calibration is not None
         engine = self._engine
         self._bridge = Bridge(engine.names, engine.rate_hz, engine.height_m, self._carry)
-        self._states: deque[State] = deque(maxlen=_KEPT)
+        self._states: deque[AvatarState] = deque(maxlen=_KEPT)
         self._events: list[str] = []
         self._lost_s = 0.0
 
@@ -152,7 +152,7 @@ class Follower:
             self._advance(moment)
         return self._pose_at(frame.time_s - self.latency_s)
 
-    def _advance(self, moment: Moment) -> None:
+    def _advance(self, moment: DeviceMoment) -> None:
         engine = self._engine
         if moment.fresh:
             engine.begin(moment.position, moment.quat)
@@ -197,7 +197,7 @@ class Follower:
             between_states(self._states[after - 1], self._states[after], time_s), events
         )
 
-    def _posed(self, state: State, events: tuple[str, ...]) -> AvatarPose:
+    def _posed(self, state: AvatarState, events: tuple[str, ...]) -> AvatarPose:
         """A state in the space of the devices; links by forward kinematics."""
         assert self.calibration is not None
         qpos, alignment = state.qpos.copy(), self._bridge.alignment

@@ -12,7 +12,7 @@ NO_OBJECTS = np.zeros((0, 7))
 
 
 @dataclass(frozen=True)
-class State:
+class AvatarState:
     """The avatar's state at one moment.
 
     Attributes:
@@ -42,19 +42,19 @@ def between_poses(a: Motion, b: Motion, share: float) -> Motion:
     return replace(b, root_position=root, rotations=turn)
 
 
-def resting_state(time_s: float, qpos: np.ndarray, objects: np.ndarray = NO_OBJECTS) -> State:
+def resting_state(time_s: float, qpos: np.ndarray, objects: np.ndarray = NO_OBJECTS) -> AvatarState:
     """A pose ``(40,)`` without forces."""
-    return State(time_s, qpos, np.zeros((2, 3)), np.zeros(3), np.zeros(3), 0.0, objects)
+    return AvatarState(time_s, qpos, np.zeros((2, 3)), np.zeros(3), np.zeros(3), 0.0, objects)
 
 
-def between_states(a: State, b: State, time_s: float) -> State:
+def between_states(a: AvatarState, b: AvatarState, time_s: float) -> AvatarState:
     """Interpolate two states at a time between them."""
     share = (time_s - a.time_s) / (b.time_s - a.time_s)
 
     def mix(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         return (1.0 - share) * x + share * y
 
-    return State(
+    return AvatarState(
         time_s=time_s,
         qpos=between_qpos(a.qpos, b.qpos, share),
         contact_force=mix(a.contact_force, b.contact_force),

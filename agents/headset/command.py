@@ -203,13 +203,19 @@ def _session_maker(
     calibration: Calibration | None,
     on_frame: Callable[[DeviceFrame], None] | None,
 ) -> Callable[..., LiveSession]:
-    from questsim.osc.senders import VMC_PORT, VRCHAT_PORT, Target, VmcPerformer, VrchatTrackers
+    from questsim.osc.senders import (
+        VMC_PORT,
+        VRCHAT_PORT,
+        Destination,
+        VmcPerformer,
+        VrchatTrackers,
+    )
 
     senders: list[VmcPerformer | VrchatTrackers] = []
     if args.vmc is not None:
-        senders.append(VmcPerformer(Target.of(args.vmc, VMC_PORT, "--vmc")))
+        senders.append(VmcPerformer(Destination.of(args.vmc, VMC_PORT, "--vmc")))
     if args.vrchat is not None:
-        senders.append(VrchatTrackers(Target.of(args.vrchat, VRCHAT_PORT, "--vrchat")))
+        senders.append(VrchatTrackers(Destination.of(args.vrchat, VRCHAT_PORT, "--vrchat")))
 
     def on_pose(pose: AvatarPose) -> None:
         for sender in senders:

@@ -63,8 +63,6 @@ def train_system(args: TrainSystemArgs) -> int:
     Raises:
         InputError: options, motions or a run folder cannot be used.
     """
-    from questsim.motion.spec import load_recordings
-
     args = replace(args, start=from_anywhere(args.start))
     check_logger(args.log)
     at_least(1, threads=args.threads, steps=args.steps)
@@ -78,11 +76,7 @@ def train_system(args: TrainSystemArgs) -> int:
         read_run(args.out)
     else:
         refuse_existing(args.out)
-    motions = load_recordings(args.motions, seed=args.seed)
-    motions, held = without_styles(motions, args.hold_out)
-    data = motions_record(args.motions, motions)
-    if held:
-        data["hold_out"] = args.hold_out
+    motions, held, data = _motions(args)
     if args.resume:
         check_same_run(read_run(args.out), args, data, MAY_DIFFER_ON_RESUME, args.out)
     torch.set_num_threads(args.threads)
@@ -117,6 +111,15 @@ def train_system(args: TrainSystemArgs) -> int:
             module.load_state_dict(load_module(best)[0].state_dict())
         display.say(f"trained: {find_system(args.out)}")
     return 0
+
+
+def _motions(args: TrainSystemArgs) -> tuple[Sequence[Motion], Sequence[Motion], dict[str, Any]]:
+    """Motions to learn, those held out, and the record of the data."""
+    from questsim.motion.spec import load_recordings
+
+    motions, held = without_styles(load_recordings(args.motions, seed=args.seed), args.hold_out)
+    data = motions_record(args.motions, motions)
+    return motions, held, data | ({"hold_out": args.hold_out} if held else {})
 
 
 def _cluster(args: TrainSystemArgs) -> AbstractContextManager[None]:

@@ -14,7 +14,7 @@ from agents.run_folder import plain
 from agents.sweep import report
 from agents.sweep.options import SweepArgs
 from agents.sweep.runs import Run, as_finished, executor, finished, runs_of
-from agents.sweep.settings import Settings, settings_of
+from agents.sweep.settings import SettingSource, settings_of
 from questsim.errors import InputError, at_least
 from questsim.files import read_yaml, whole_file
 
@@ -45,7 +45,7 @@ def sweep(args: SweepArgs) -> int:
     return 0
 
 
-def _outcomes(args: SweepArgs, settings: Settings) -> list[report.Outcome]:
+def _outcomes(args: SweepArgs, settings: SettingSource) -> list[report.Outcome]:
     """Train batch after batch; the files of the report are written after each."""
     outcomes: list[report.Outcome] = []
     with executor(args) as submit:

@@ -53,7 +53,7 @@ class Setting:
         return tuple(f"{path}={value}" for path, value in self.values.items())
 
 
-class Settings(Protocol):
+class SettingSource(Protocol):
     """A source of settings, in batches; the results of a batch may decide about the next."""
 
     def batches(self) -> Iterator[list[Setting]]:
@@ -65,7 +65,7 @@ class Settings(Protocol):
         ...
 
 
-def settings_of(args: SweepArgs) -> Settings:
+def settings_of(args: SweepArgs) -> SettingSource:
     """The settings that the options describe.
 
     Raises:

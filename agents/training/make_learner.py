@@ -1,4 +1,4 @@
-"""Build the learner of a stage, with a new policy or from an earlier one."""
+"""Build the environments of a stage and its learner, with a new policy or from an earlier one."""
 
 from __future__ import annotations
 
@@ -13,19 +13,30 @@ from agents.policy.checkpoint import find_policy, find_teacher, load_policy
 from agents.policy.networks import TorquePolicy
 from agents.policy.policy_agent import PolicyAgent, check_body, new_policy
 from agents.policy.spec import Layout
+from agents.training.cluster import ActorPool
 from agents.training.dagger import Dagger, DaggerConfig
 from agents.training.learner import Learner
 from agents.training.make_ppo import exploration_noise, make_ppo
 from agents.training.ppo import AdaptivePPO
 from agents.training.presets import PPOConfig, StageConfig
+from agents.training.rollout_worker import BatchSpec
 from agents.training.shared_update import LearningPool, make_shared_ppo
 from agents.training.specialists import OPTION, Teachers, load_teacher, read_specialist
 from agents.training.start_from import copy_actor, copy_head, take_critic
 from envs import QuestVecEnv
 
 if TYPE_CHECKING:
-    from agents.training.cluster import ActorPool
     from agents.training.options import TrainArgs
+
+
+def make_environments(
+    batch: BatchSpec, args: TrainArgs, config: StageConfig
+) -> QuestVecEnv | ActorPool:
+    """The simulations of a stage, in this process or in those of the workers."""
+    if args.workers == 0:
+        return batch.make()
+    shares = args.gradients == "workers" and isinstance(config.learning, PPOConfig)
+    return (LearningPool if shares else ActorPool)(batch, args.workers)
 
 
 def make_learner(

@@ -33,7 +33,7 @@ from agents.training.dagger import DaggerConfig
 from agents.training.fresh_motions import REDRAW_STEPS, FreshMotions, check_share, redrawing
 from agents.training.learner import Learner
 from agents.training.loggers import check_logger
-from agents.training.make_learner import make_learner
+from agents.training.make_learner import make_environments, make_learner
 from agents.training.monitor import Display
 from agents.training.options import TrainArgs
 from agents.training.ppo import AdaptivePPO
@@ -288,17 +288,15 @@ def _run_stage(
     env_config, seed = _env_config(args, preset, config), training.seed(name)
     learnt, validation = training.split()
     torch.manual_seed(seed)
-    count = preset.num_envs if args.envs is None else args.envs
     fresh = FreshMotions(learnt, args.vary, args.redraw or REDRAW_STEPS, seed)
     draw = fresh.last(args.out / name / "last") if args.resume else 0
     with ray_map(args.workers if args.vary else 0, args.ray if args.vary else None) as mapper:
         clips, shown = fresh.at(draw, mapper), training.seen(learnt)
+    count = preset.num_envs if args.envs is None else args.envs
     batch = BatchSpec(
         clips, env_config, count, seed + draw, args.threads, shown, training.begin_at
     )  # fmt: skip
-    shares = args.gradients == "workers" and isinstance(config.learning, PPOConfig)
-    pool = LearningPool if shares else ActorPool
-    env = batch.make() if args.workers == 0 else pool(batch, args.workers)
+    env = make_environments(batch, args, config)
     first = from_first_frames(env_config)
     sim = evaluation_sim(validation, first, args.threads, shown=training.seen(validation))
 

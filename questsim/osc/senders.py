@@ -34,7 +34,7 @@ _HEAD_UP_M = 0.185
 """From the neck to the middle of the head, of the 1.75 m body."""
 
 
-class Target(NamedTuple):
+class Destination(NamedTuple):
     """Destination of OSC messages.
 
     Attributes:
@@ -46,7 +46,7 @@ class Target(NamedTuple):
     port: int
 
     @staticmethod
-    def of(text: str, port: int, option: str) -> Target:
+    def of(text: str, port: int, option: str) -> Destination:
         """From ``HOST``, ``HOST:PORT`` or ``:PORT``; an empty host is this machine.
 
         Raises:
@@ -66,13 +66,13 @@ class Target(NamedTuple):
             raise InputError(
                 f"{host} is not the address of one machine", option, "name one address"
             )
-        return Target(str(address), port)
+        return Destination(str(address), port)
 
 
 class _Sender:
     """Sends bundles of messages to one address; network errors are counted, not raised."""
 
-    def __init__(self, target: Target) -> None:
+    def __init__(self, target: Destination) -> None:
         self.target = target
         self.refused = 0
         self._client = UDPClient(target.host, target.port)
