@@ -23,6 +23,7 @@ from agents.kinematic.registry import AGENTS
 from agents.kinematic.sparseposer.networks import SparsePoserModule
 from agents.kinematic.sparseposer.training import measure_normalisers
 from agents.kinematic.store import find_system, load_module, read_system_card, save_system
+from agents.kinematic.team import Nobody, Team
 from agents.kinematic.training import _budget, train_system
 from agents.run_folder import read_run
 from agents.shipping.ship import ShipArgs, ship
@@ -100,7 +101,7 @@ class StopAfter(Stopper):
         pass
 
 
-def fit_of(agent: str, stage: str, folder, seed: int = 0) -> Fit:
+def fit_of(agent: str, stage: str, folder, seed: int = 0, team: Team | None = None) -> Fit:
     torch.manual_seed(seed)
     entry = AGENTS[agent]
     config = entry.presets["smoke"]
@@ -110,7 +111,18 @@ def fit_of(agent: str, stage: str, folder, seed: int = 0) -> Fit:
     def save(where, training, resume):
         save_system(where, module, agent, config.spec, training, resume)
 
-    return Fit(stage, module, task, learning, folder, Budget(None, 6), save, {}, seed)
+    return Fit(
+        stage,
+        module,
+        task,
+        learning,
+        folder,
+        Budget(None, 6),
+        save,
+        {},
+        seed,
+        team=team or Nobody(),
+    )
 
 
 @pytest.mark.parametrize(("agent", "stage"), [("hmdposer", "network"), ("dragposer", "vae")])
@@ -127,6 +139,20 @@ def test_a_resumed_training_ends_with_the_bits_of_one_in_one_piece(agent, stage,
     for name, tensor in whole.module.state_dict().items():
         assert torch.equal(tensor, second.module.state_dict()[name]), name
     assert second.history[-1]["error_cm"] == whole.history[-1]["error_cm"]
+
+
+class Two(Nobody):
+    count = 2
+
+
+def test_a_training_goes_on_with_another_number_of_workers_and_says_so(tmp_path, capsys):
+    with Display() as display:
+        fit_of("dragposer", "vae", tmp_path).run(display, StopAfter(3))
+        more = fit_of("dragposer", "vae", tmp_path, team=Two())
+        more.resume()
+        more.run(display, Stopper())
+    assert "number of workers (1 before, now 2): other windows are drawn" in capsys.readouterr().out
+    assert more.steps == 6
 
 
 def test_a_run_is_neither_overwritten_nor_resumed_with_other_options(library, tmp_path):

@@ -60,9 +60,13 @@ class Fit:
     def __post_init__(self) -> None:
         self._descent = Descent(self.module, self.task, self.learning)
         self._rng = np.random.default_rng(self.seed)
+        self._count_before = self.team.count
 
     def resume(self) -> None:
-        """Continue from the last checkpoint: steps, networks, optimiser and random states."""
+        """Continue from the last checkpoint: steps, networks, optimiser and random states.
+
+        Another number of workers may go on; then the batches are drawn otherwise.
+        """
         state = load_resume(self.folder / "last")
         self.module.load_state_dict(state["module"])
         self._descent.optimiser.load_state_dict(_int_keys(state["optimiser"]))
@@ -70,6 +74,7 @@ class Fit:
         torch.set_rng_state(state["torch_random"])
         self.steps, self.budget.spent = state["steps"], state["seconds"]
         self.best_cm, self.history = state["best_cm"], state["history"]
+        self._count_before = state.get("workers", self.team.count)
 
     def run(self, display: Display, stopper: Stopper) -> None:
         """Train until the budget is used or a stop is requested.
@@ -81,6 +86,11 @@ class Fit:
         if budget.progress(self.steps) >= 1 and self._is_evaluated():
             return
         logger = training_logger(self.folder / "tensorboard", self.log, self.record)
+        if self._count_before != self.team.count:
+            display.say(
+                f"{self.name}: another number of workers ({self._count_before} before, now "
+                f"{self.team.count}): other windows are drawn; networks, optimiser and steps go on"
+            )
         if not self.history:
             self._evaluate(logger, display)
         self.team.sync(self._descent)
@@ -167,6 +177,7 @@ class Fit:
             "random": _plain_rng(self._rng),
             "torch_random": torch.get_rng_state(),
             "steps": self.steps,
+            "workers": self.team.count,
             "seconds": self.budget.elapsed,
             "best_cm": self.best_cm,
             "history": self.history,

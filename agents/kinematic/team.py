@@ -96,7 +96,13 @@ class Descent:
 
 
 class Team(Protocol):
-    """The other workers of a stage."""
+    """The other workers of a stage.
+
+    Attributes:
+        count: all processes that share the batches, with the command's own.
+    """
+
+    count: int
 
     def begin(self, descent: Descent, rate: float, step: int) -> None:
         """Let them begin a gradient step."""
@@ -113,6 +119,8 @@ class Team(Protocol):
 
 class Nobody:
     """``Team`` of a training without workers."""
+
+    count = 1
 
     def begin(self, descent: Descent, rate: float, step: int) -> None:
         """Does nothing."""
@@ -213,7 +221,7 @@ class RayTeam:
         import ray
 
         check_room(count - 1, stage.threads, stage.memory)
-        self._ray, self._count = ray, count
+        self._ray, self.count = ray, count
         self._kind = ray.remote(num_cpus=stage.threads, memory=stage.memory)(GradientWorker)
         self._stage = ray.put(stage)
         self._actors: list[Any] = self._make()
@@ -225,7 +233,7 @@ class RayTeam:
         self._next = 0.0, 0
 
     def _make(self) -> list[Any]:
-        return [self._kind.remote(self._stage, rank) for rank in range(1, self._count)]
+        return [self._kind.remote(self._stage, rank) for rank in range(1, self.count)]
 
     def sync(self, descent: Descent) -> None:
         """Give them the state of networks and optimiser."""
@@ -272,8 +280,8 @@ class RayTeam:
     def _connect(self) -> None:
         with meeting_file() as file:
             meeting = Meeting(file, own_host())
-            calls = [actor.join.remote(meeting.address, self._count) for actor in self._actors]
-            (self._peers,) = join(meeting.address, own_host(), 0, self._count, 1, meeting)
+            calls = [actor.join.remote(meeting.address, self.count) for actor in self._actors]
+            (self._peers,) = join(meeting.address, own_host(), 0, self.count, 1, meeting)
             first_error(calls)
 
     def close(self) -> None:

@@ -54,6 +54,7 @@ MAY_DIFFER_ON_RESUME = {
     "set",
     "log",
     "ray",
+    "workers",
 }
 
 
