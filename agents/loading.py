@@ -24,7 +24,7 @@ def load_agent(path_or_name: str | Path | Resolved) -> Agent:
         return own_object(found.name)
     if not found.torques:
         base = base_of(found.name) or found.name
-        fix = f"evaluate.py and questsim demo take {base} and {base}{PHYSICS}"
+        fix = f"evaluate.py --agent and questsim demo take {base} and {base}{PHYSICS}"
         raise InputError("is a kinematic system, which gives no torques", found.name, fix)
     assert found.folder is not None
     return load_policy(found.folder)

@@ -85,7 +85,8 @@ MAY_DIFFER_ON_RESUME = {
 
 def train(args: TrainArgs) -> int:
     """See ``train_here``; with ``--workers`` in a process of its own."""
-    _refuse_unused(args)  # before that process starts
+    at_least(0, workers=args.workers)  # before that process starts
+    _refuse_unused(args)
     if args.workers and not ray_runs():
         return watched(train_here, args)
     return train_here(args)
