@@ -2,7 +2,7 @@
 
     python -m benchmarks.live                  # latency, and ten minutes at 90 Hz
     python -m benchmarks.live --minutes 1 --agent questsim-now --assist 0
-    python -m benchmarks.live --motions bandai-namco-2:test --clips 48
+    python -m benchmarks.live --motions bandai-namco-2:test --clips 36 --assist 0
 
 The frames come from a synthetic user at 90 Hz. 1 % are lost. Each arrives up to 20 ms late, so many
 arrive out of order and are dropped. Targets: half of the steps within 5 ms, 99 % within 20 ms, no
@@ -27,6 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from agents.evaluation.assisted import AssistUse
 from agents.evaluation.follow import choose_clips
 from agents.evaluation.rollout import env_config, roll_out
 from agents.follower import Follower
@@ -36,7 +37,7 @@ from agents.resolve import LIVE_POLICY
 from benchmarks.common import arguments, report
 from questsim.cli import guarded
 from questsim.devices import DeviceFrame
-from questsim.metrics import MAX_LINK_ERROR_M
+from questsim.metrics import MAX_LINK_ERROR_M, Rollout
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.spec import load_motions
 from questsim.motion.synthesis.synthetic import synthetic_clips
@@ -54,7 +55,7 @@ def main() -> None:
     torch.set_num_threads(1)
     if args.motions:
         clips = choose_clips(load_motions(args.motions), args.clips)
-        report(starts(args.agent, clips), args.json)
+        report(starts(args.agent, clips, float(args.assist)), args.json)
         return
     report(measure(args.agent, float(args.minutes), float(args.assist)), args.json)
 
@@ -113,20 +114,26 @@ def measure(agent: str, minutes: float, assist_n: float) -> dict[str, float]:
     }
 
 
-def starts(agent: str, clips: Sequence[Clip]) -> dict[str, float]:
+def starts(agent: str, clips: Sequence[Clip], assist_n: float) -> dict[str, float]:
     """Success in percent of scored and of calibrated starts.
 
     Args:
         agent: the policy that follows.
         clips: clips to follow.
+        assist_n: bound of the assist after both starts.
     """
     loaded = load_agent(agent)
     config = env_config(loaded)
-    scored = np.array([r.completed for r in roll_out(loaded, clips, config)])
-    live = [followed(agent, clip) for clip in clips]
+
+    def scored_from_first_frames(these: Sequence[Clip]) -> list[Rollout]:
+        assist = AssistUse(assist_n) if assist_n else None
+        return roll_out(loaded, these, config, assist=assist)
+
+    scored = np.array([r.completed for r in scored_from_first_frames(clips)])
+    live = [followed(agent, clip, assist_n) for clip in clips]
     calibrated = np.array([each.completed for each in live])
     # The same frames: a user's stream has a clip without its slow first and last half second.
-    same = zip(live, roll_out(loaded, [each.clip for each in live], config), strict=True)
+    same = zip(live, scored_from_first_frames([each.clip for each in live]), strict=True)
     apart = [
         np.linalg.norm(positions - rollout.link_position[number], axis=-1).mean()
         for each, rollout in same
@@ -136,10 +143,12 @@ def starts(agent: str, clips: Sequence[Clip]) -> dict[str, float]:
     ]
     return {
         "clips": len(clips),
+        "assist_n": assist_n,
         "scored_start_percent": 100.0 * float(scored.mean()),
         "calibrated_start_percent": 100.0 * float(calibrated.mean()),
         "points_lost": 100.0 * float(scored.mean() - calibrated.mean()),
         "points_goal": 3.0,
+        "fell_before_full_speed_percent": 100.0 * float(np.mean([e.fell_early for e in live])),
         "lost_in_both": int((~scored & ~calibrated).sum()),
         "avatars_apart_cm": 100.0 * float(np.mean(apart)),
     }
@@ -152,30 +161,35 @@ class Followed:
     Attributes:
         clip: the part that the user performs at full speed.
         completed: whether the avatar did not fall and stayed within 0.5 m.
+        fell_early: whether it fell before, while the user went over from standing to the clip.
         links: positions ``(16, 3)`` of the avatar's links by the number of the clip's frame.
     """
 
     clip: Clip
     completed: bool
+    fell_early: bool
     links: dict[int, np.ndarray]
 
 
-def followed(agent: str, clip: Clip) -> Followed:
+def followed(agent: str, clip: Clip, assist_n: float) -> Followed:
     """Follow a clip with a calibrated avatar."""
     user = SyntheticUser(clip.height_m, noise_m=0.001)
     frames, (span,) = stream(user, [clip], 72.0)
-    follower, links = Follower(agent), dict[int, np.ndarray]()
+    follower, links = Follower(agent, assist_n=assist_n), dict[int, np.ndarray]()
+    early = False
     follower.calibrate([frame for frame in frames if frame.time_s < STILL_S])
     for frame in frames:
         pose = follower.step(frame)
         number = round((pose.time_s - span.start_s) * FPS)
+        fell = any("fell" in event for event in pose.events)
+        early |= fell and number < 0
         if not 0 <= number < len(span.clip):
             continue
         apart = np.linalg.norm(pose.link_position - span.clip.link_position[number], axis=-1)
-        if apart.mean() > MAX_LINK_ERROR_M or any("fell" in event for event in pose.events):
-            return Followed(span.clip, False, links)
+        if apart.mean() > MAX_LINK_ERROR_M or fell:
+            return Followed(span.clip, False, early, links)
         links[number] = pose.link_position
-    return Followed(span.clip, True, links)
+    return Followed(span.clip, True, early, links)
 
 
 if __name__ == "__main__":

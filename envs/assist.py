@@ -4,10 +4,12 @@ QuestSim (section 5.3) asks when physics should be violated. The assist acts whi
 head is more than 25 cm from the user's head, or will be in 0.3 s at the present velocities, about
 the time constant of a body that topples. It reads the headset alone, so it also works live.
 
-The force pulls the pelvis below the user's head, by a spring and a damper; its vertical part
-carries a body that sinks. The torque turns the trunk upright and towards the user's heading. While
-the user bends or squats, the trunk keeps its lean. Both are renewed in every substep of the
-physics: the pelvis is light, and gains of this size would shake it at 36 Hz.
+The force pulls the pelvis by a spring and a damper, half towards the place below the user's head
+and half by the error of the avatar's head: users lean, and their pelvis is not seen. Its vertical
+part carries a body that sinks. It never pushes down, which would make the legs buckle. The torque
+turns the trunk upright and towards the user's heading. While the user bends or squats, the trunk
+keeps its lean. Both are renewed in every substep of the physics: the pelvis is light, and gains of
+this size would shake it at 36 Hz.
 """
 
 from __future__ import annotations
@@ -32,11 +34,13 @@ FADE_S = 0.1
 ARM_M = 1.0
 """Bound of the torque over bound of the force, about a pelvis' height: 300 N m for 300 N."""
 MAX_ASSIST_N = 2000.0
-_STIFFNESS, _DAMPING = 15.0, 6.0
+_STIFFNESS, _DAMPING = 8.0, 3.5
 """Gains of the force on the pelvis, 1/s^2 and 1/s per kg of the body."""
 _LIFT_STIFFNESS, _LIFT_DAMPING = 20.0, 8.0
 """The same of its vertical part."""
-_UPRIGHTING, _UPRIGHT_DAMPING = 4.3, 0.86
+_HEAD_SHARE = 0.5
+"""Share of the head's horizontal error in that of the pelvis' place."""
+_UPRIGHTING, _UPRIGHT_DAMPING = 8.0, 1.5
 """Gains of the torque on the sine of the tilt and its rate, N m and N m s per kg of the body."""
 _TURNING = 2.0
 """Gain of the torque about the vertical on the sine of the angle between the headings."""
@@ -133,10 +137,12 @@ class Assist:
         )
         tall = (user[:, 2] - sim.floor) / self._eyes
         upright = np.clip((tall - _LOW) / (_UPRIGHT - _LOW), 0.0, 1.0)[:, None]
-        goal = user - upright * length * _UP - (1.0 - upright) * trunk
-        pull = _STIFFNESS * (goal - pelvis) + _DAMPING * (self._velocity - velocity)
-        pull[:, 2] += (_LIFT_STIFFNESS - _STIFFNESS) * (goal - pelvis)[:, 2]
-        pull[:, 2] += (_LIFT_DAMPING - _DAMPING) * (self._velocity - velocity)[:, 2]
+        error = user - upright * length * _UP - (1.0 - upright) * trunk - pelvis
+        error[:, :2] += _HEAD_SHARE * ((user - own) - error)[:, :2]
+        slip = self._velocity - velocity
+        pull = _STIFFNESS * error + _DAMPING * slip
+        lift = _LIFT_STIFFNESS * error[:, 2] + _LIFT_DAMPING * slip[:, 2]
+        pull[:, 2] = np.maximum(lift, 0.0)
         turn = _UPRIGHTING * upright * np.cross(lean, _UP)
         turn -= _UPRIGHT_DAMPING * np.cross(lean, lean_rate)
         aside = self._heading - rot.heading(sim.link_quats[:, _HEAD])

@@ -235,7 +235,10 @@ def test_an_avatar_that_fell_is_set_up_again_within_a_second():
 def test_the_assist_holds_a_limp_avatar_up_for_longer_and_stays_within_its_bound():
     clips = [CLIPS["synthetic-stand-1"]]
     config = env_config(ZeroAgent())
-    alone = roll_out(ZeroAgent(), clips, config)[0]
+    alone, fallen = roll_out(ZeroAgent(), clips, config)[0], AssistUse(0.0)
+    watched = roll_out(ZeroAgent(), clips, config, assist=fallen)[0]
+    np.testing.assert_array_equal(watched.link_position, alone.link_position)
+    assert fallen.figures()["upright_percent"] == 0.0 and fallen.figures()["peak_n"] == 0.0
     use = AssistUse(1500.0)
     helped = roll_out(ZeroAgent(), clips, config, assist=use)[0]
     assert alone.fell and len(helped) > 1.3 * len(alone)
@@ -250,6 +253,7 @@ def test_an_avatar_that_keeps_up_is_not_helped():
     helped = roll_out(agent, clips, env_config(agent), assist=use)[0]
     alone = roll_out(agent, clips, env_config(agent))[0]
     assert use.figures()["time_percent"] == 0.0 and use.figures()["mean_n"] is None
+    assert use.figures()["upright_percent"] == 100.0
     np.testing.assert_array_equal(helped.link_position, alone.link_position)
 
 
@@ -267,17 +271,17 @@ def test_the_assist_reads_the_user_of_an_avatar_of_another_stature():
     sim.close()
 
 
-def test_the_assist_adds_to_a_push_on_the_pelvis():
+def test_the_assist_adds_to_a_push_on_the_pelvis_and_never_pushes_down():
     sim = evaluation_sim([CLIPS["synthetic-stand-1"]], EnvConfig(fixed_start=True))
     sim.reset()
     assist = Assist(sim, 0.001)
     sim.pusher.push(0, np.array([100.0, 0.0, 0.0]), 1.0, "pelvis")
-    far = headsets(sim) + 1.0
+    far = headsets(sim) + [1.0, 1.0, -1.0]
     for _ in range(3):
         assist.apply(far, np.array([[1.0, 0.0, 0.0, 0.0]]))
         sim.step(np.zeros((1, 33)))
     wrench = sim.batch.bind("xfrc_applied")[0, 1]
-    assert 0.0 < np.linalg.norm(assist.force[0]) <= 0.001
+    assert 0.0 < np.linalg.norm(assist.force[0]) <= 0.001 and assist.force[0, 2] == 0.0
     np.testing.assert_allclose(wrench[:3], [100.0, 0.0, 0.0], atol=0.001)
     sim.close()
 

@@ -69,13 +69,13 @@ def evaluate(args: EvaluateArgs) -> int:
     config = _config_of(args, env_config(agent, args.env, args.height, args.body))
     _refuse_own_body(args, config)
     check_random(agent, config, args.seeds)
-    if args.seeds > 1 and args.assist:
+    if args.seeds > 1 and args.assist is not None:
         raise InputError("does not go with --seeds", "--assist", "give one of them")
     clips = load_motions(args.motions, seed=args.seed, own_proportions=args.own_proportions)
     if args.max_clips is not None:
         clips = choose_clips(clips, args.max_clips)
     filmed(args, clips)
-    assist = AssistUse(args.assist) if args.assist else None
+    assist = None if args.assist is None else AssistUse(args.assist)
     begin_at = _estimates(clips) if args.begin == "estimate" else None
     with ray_map(args.workers, args.ray, args.threads) as mapper:
         runs = [
@@ -125,7 +125,8 @@ def _refuse_unused(args: EvaluateArgs, options: Sequence[str]) -> None:
 def _refuse_own_body(args: EvaluateArgs, config: EnvConfig) -> None:
     """Refuse options that only our avatar has."""
     for option in ("assist", "save_motion", "own_proportions"):
-        if config.body is not None and getattr(args, option):
+        given = getattr(args, option)
+        if config.body is not None and given is not None and given is not False:
             raise InputError(
                 "does not go with a body of your own",
                 f"--{option.replace('_', '-')}",
@@ -161,13 +162,13 @@ def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
 
     scenario = scenario_with(found, args.sensors)
     behind = found.kind == "physics"
-    if args.assist and not behind:
+    if args.assist is not None and not behind:
         what = f"{args.agent} has no physics and cannot be assisted"
         raise InputError(what, "--assist", "leave it out")
     motions = at_sensor_rate(load_recordings(args.motions, seed=args.seed), args.max_clips)
     filmed(args, motions)
     jobs = [Job(found.base, scenario, motion) for motion in motions]
-    assist = AssistUse(args.assist) if args.assist else None
+    assist = None if args.assist is None else AssistUse(args.assist)
     with processes(args.threads, args.workers, args.ray) as mapper:
         if behind:
             physics = mapper if args.workers else map

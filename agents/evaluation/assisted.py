@@ -11,6 +11,12 @@ from envs.core import BatchSim
 from envs.placement import moved, turn_quat
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
+from questsim.skeleton import LINKS
+
+UPRIGHT_SHARES = {"pelvis": 0.5, "head": 0.6}
+"""An avatar is upright while these links are above these shares of the height that the user's have
+at the same time, each over its own floor. A squatting user's avatar may squat."""
+_UPRIGHT_LINKS = [LINKS.index(link) for link in UPRIGHT_SHARES]
 
 
 class AssistUse:
@@ -26,21 +32,26 @@ class AssistUse:
     def __init__(self, bound_n: float) -> None:
         self.bound_n = checked_bound(bound_n)
         self._steps, self._used_steps, self._sum_n, self._peak_n = 0, 0, 0.0, 0.0
-        self._clips, self._used_clips = 0, 0
+        self._clips, self._used_clips, self._down_clips = 0, 0, 0
 
     def begin(self, sim: BatchSim) -> None:
         """Start a batch; call after its ``reset``."""
         self._sim, self._assist = sim, Assist(sim, self.bound_n)
         self._assist.reset()
-        self._helped = np.zeros(sim.num_envs, bool)
+        self._helped, self._down = np.zeros((2, sim.num_envs), bool)
         self._clips += sim.num_envs
 
     def apply(self) -> None:
         """Set the forces of the next step."""
         self._assist.apply(*user_headsets(self._sim))
 
-    def count(self, active: np.ndarray) -> None:
-        """Count the forces of the last step; ``active`` ``(C,)`` bool: avatars that count."""
+    def count(self, active: np.ndarray, running: np.ndarray) -> None:
+        """Count the last step: forces, and avatars that went down.
+
+        Args:
+            active: ``(C,)`` bool, avatars that have not lost their users: their forces count.
+            running: ``(C,)`` bool, clips that have not ended: their avatars can go down.
+        """
         force = np.linalg.norm(self._assist.force, axis=-1)[active]
         used = force > 0.0
         self._steps += len(force)
@@ -51,6 +62,9 @@ class AssistUse:
         helped[active] = used
         self._used_clips += int((helped & ~self._helped).sum())
         self._helped |= helped
+        down = running & ~self._down & ~is_upright(self._sim)
+        self._down_clips += int(down.sum())
+        self._down |= down
 
     def only_counts(self) -> AssistUse:
         """A copy without the simulation, to be sent between processes."""
@@ -66,15 +80,20 @@ class AssistUse:
         self._peak_n = max(self._peak_n, other._peak_n)
         self._clips += other._clips
         self._used_clips += other._used_clips
+        self._down_clips += other._down_clips
 
     def figures(self) -> dict[str, Any]:
-        """Use of the assist: percent of time, percent of clips, mean force while in use."""
+        """Use of the assist, and percent of the clips in which the avatar never went down.
+
+        Time, mean and peak in N are of the frames before an avatar lost its user.
+        """
         return {
             "bound_n": self.bound_n,
             "time_percent": 100.0 * self._used_steps / max(self._steps, 1),
             "clips_percent": 100.0 * self._used_clips / max(self._clips, 1),
             "mean_n": self._sum_n / self._used_steps if self._used_steps else None,
             "peak_n": self._peak_n,
+            "upright_percent": 100.0 * (1.0 - self._down_clips / max(self._clips, 1)),
         }
 
     def line(self) -> str:
@@ -84,7 +103,8 @@ class AssistUse:
         return (
             f"assist of at most {self.bound_n:g} N: in use {figures['time_percent']:.2f} % of the "
             f"time and in {figures['clips_percent']:.1f} % of the clips, mean {mean:.0f} N, "
-            f"peak {figures['peak_n']:.0f} N"
+            f"peak {figures['peak_n']:.0f} N; "
+            f"upright to the end in {figures['upright_percent']:.1f} % of the clips"
         )
 
 
@@ -95,3 +115,12 @@ def user_headsets(sim: BatchSim) -> tuple[np.ndarray, np.ndarray]:
     position[:, 2] += sim.floor
     quat = sim.reference.dev_quat[sim.frame, 0].astype(float)
     return position, rot.quat_multiply(turn_quat(place), quat)
+
+
+def is_upright(sim: BatchSim) -> np.ndarray:
+    """``(n,)`` whether each avatar is upright, see ``UPRIGHT_SHARES``."""
+    user = sim.reference.position[sim.frame][:, _UPRIGHT_LINKS, 2]
+    user = user * (sim.user_heights / DEFAULT_HEIGHT_M)[:, None]
+    own = sim.link_positions[:, _UPRIGHT_LINKS, 2] - sim.floor[:, None]
+    # A height that is not finite is not above its share.
+    return (own > np.array(list(UPRIGHT_SHARES.values())) * user).all(axis=-1)

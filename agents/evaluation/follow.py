@@ -13,6 +13,7 @@ from agents.agent import Agent
 from agents.evaluation.assisted import AssistUse
 from envs.config import EnvConfig
 from envs.core import BatchSim
+from questsim.metrics import MAX_LINK_ERROR_M
 from questsim.motion.clip import Clip
 from questsim.motion.motion import Motion
 
@@ -100,12 +101,14 @@ def follow(
         clips: the clips of ``sim``.
         record: called after reset and after each step with ``(C,)`` bool: avatars that had not
             finished before that step, whose state is to be recorded.
-        assist: applies an assisting force; None for physics without one.
+        assist: applies an assisting force, and watches every clip to its end; None for physics
+            without one.
     """
     count = len(clips)
     length = np.array([len(clip) - 1 for clip in clips])
     frames, total, error = np.zeros(count, np.int64), np.zeros(count), np.zeros(count)
     fell, active = np.zeros(count, bool), np.ones(count, bool)
+    running = active.copy()
     began = time.perf_counter()
     sim.reset()
     agent.reset(count)
@@ -113,12 +116,12 @@ def follow(
         record(active)
     if assist is not None:
         assist.begin(sim)
-    while active.any():
+    while running.any():
         if assist is not None:
             assist.apply()
         sim.step(agent.act(sim.observation))
         if assist is not None:
-            assist.count(active)
+            assist.count(active, running)
         # Non-finite values are left out of sums and recordings.
         good = active & ~sim.unstable
         total[good] += sim.reward[good]
@@ -126,8 +129,10 @@ def follow(
         frames[active] += 1
         if record is not None:
             record(good)
-        fell |= active & sim.fell
-        active &= ~(sim.fell | sim.ended)
+        lost = sim.fell if assist is None else sim.fell | (sim.error > MAX_LINK_ERROR_M)
+        fell |= active & lost
+        active &= ~(lost | sim.ended)
+        running &= active if assist is None else ~(sim.fell | sim.ended)
     return Followed(
         frames=frames,
         fell=fell,

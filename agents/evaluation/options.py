@@ -73,8 +73,9 @@ class EvaluateArgs(_FollowArgs):
     sensors: str | None = None
     """Sensor set of a kinematic system by name, e.g. H+2C or 6T; by default the set of its first
     comparison scenario."""
-    assist: float = 0.0
-    """Largest assisting force in N for an avatar about to fall or fall behind; use is reported."""
+    assist: float | None = None
+    """Largest assisting force in N for an avatar about to fall or fall behind. Reports its use and
+    how many avatars stay upright; 0 reports the latter without a force."""
     out: Path | None = None
     """Folder for metrics.json, clips.csv and plots."""
     video: bool = False

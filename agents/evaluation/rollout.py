@@ -13,7 +13,7 @@ from agents.agent import Agent
 from agents.evaluation.assisted import AssistUse
 from agents.evaluation.follow import evaluation_sim, follow
 from agents.evaluation.mapping import Mapper
-from envs.config import EnvConfig
+from envs.config import MAX_ERROR_M, EnvConfig
 from envs.core import BatchSim
 from envs.objects import shapes_of
 from envs.options import config_from
@@ -191,9 +191,11 @@ def _as_ours(sim: BatchSim, clip: Clip) -> Clip:
 
 def _roll_out_batch(job: _Batch) -> tuple[list[Rollout], AssistUse | None]:
     """The rollouts of a batch, and how much of the assist it used."""
-    clips = job.clips
-    sim = evaluation_sim(clips, job.config, job.threads, job.seed, job.shown, job.begin_at)
+    clips, config = job.clips, job.config
     assist = None if job.assist_n is None else AssistUse(job.assist_n)
+    if assist is not None:  # an avatar that has lost its user may still be upright at the end
+        config = replace(config, max_error_m=MAX_ERROR_M)
+    sim = evaluation_sim(clips, config, job.threads, job.seed, job.shown, job.begin_at)
     try:
         job.agent.bind(sim)
         recorder = Recorder(sim, max(len(clip) for clip in clips))

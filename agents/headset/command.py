@@ -34,7 +34,7 @@ from questsim.sensors import DEVICES
 from questsim.viewing.page_server import LOOPBACK, check_address, is_loopback
 
 DEFAULT_PORT = 8085
-ASSIST_N = 100.0
+ASSIST_N = 300.0
 """Default bound of the assist of agents with physics."""
 
 
@@ -55,7 +55,7 @@ class LiveArgs:
     calibration: Path | None = None
     """File written by Calibration.save, used instead of measuring."""
     assist: float | None = None
-    """Largest force in N that assists the avatar's balance, by default 100 for agents with physics;
+    """Largest force in N that assists the avatar's balance, by default 300 for agents with physics;
     0 for physics without assistance."""
     terrain: str | None = None
     """Ground under the avatar, e.g. rough or slope:slope_deg=6; the user's own floor is level."""
