@@ -276,7 +276,7 @@ def test_the_assist_adds_to_a_push_on_the_pelvis_and_never_pushes_down():
     sim.reset()
     assist = Assist(sim, 0.001)
     sim.pusher.push(0, np.array([100.0, 0.0, 0.0]), 1.0, "pelvis")
-    far = headsets(sim) + [1.0, 1.0, -1.0]
+    far = headsets(sim) + np.array([1.0, 1.0, -1.0])
     for _ in range(3):
         assist.apply(far, np.array([[1.0, 0.0, 0.0, 0.0]]))
         sim.step(np.zeros((1, 33)))

@@ -123,4 +123,6 @@ def is_upright(sim: BatchSim) -> np.ndarray:
     user = user * (sim.user_heights / DEFAULT_HEIGHT_M)[:, None]
     own = sim.link_positions[:, _UPRIGHT_LINKS, 2] - sim.floor[:, None]
     # A height that is not finite is not above its share.
-    return (own > np.array(list(UPRIGHT_SHARES.values())) * user).all(axis=-1)
+    shares = np.array(list(UPRIGHT_SHARES.values()))
+    high = own > shares * user
+    return high[:, 0] & high[:, 1]

@@ -51,7 +51,8 @@ def draw() -> None:
         bound = [float(row["bound_n"]) for row in these]
         label = f"{name} ({these[0]['clips']} clips)"
         for axis, column in zip(axes, ("success", "upright", "error_cm"), strict=True):
-            axis.plot(bound, [float(row[column]) for row in these], marker="o", label=label)
+            value = [float(row[column] or "nan") for row in these]  # empty: not measured
+            axis.plot(bound, value, marker="o", label=label)
     axes[0].set(ylabel="Clips followed within 0.5 m (%)", ylim=(0, 102))
     axes[1].set(ylabel="Upright to the end of the clip (%)", ylim=(0, 102))
     axes[2].set(ylabel="Mean link error until it is lost (cm)")
