@@ -90,6 +90,10 @@ COMMANDS: dict[str, Command] = {
         "agents.commands.train", "", "TRAIN",
         "train an agent, or resume a training",
     ),
+    "average": Command(
+        "agents.policy.average", "average_policies", "AverageArgs",
+        "average the weights of policies that one training passed through",
+    ),
     "sweep": Command(
         "agents.sweep.command", "sweep", "SweepArgs",
         "train several seeds and values of a preset, and compare them with intervals",

@@ -17,7 +17,7 @@ from learners import nothing, small_ppo
 from agents.agent import Needs
 from agents.evaluation.follow import Followed, choose_clips
 from agents.loading import load_agent
-from agents.policy.checkpoint import CRITIC_FILE, load_resume
+from agents.policy.checkpoint import CRITIC_FILE, load_resume, read_card
 from agents.policy.policy_agent import PolicyAgent
 from agents.policy.spec import SPARSE_BLOCKS, PolicySpec
 from agents.shipping.provenance import stages_behind
@@ -120,6 +120,13 @@ def test_best_checkpoint_is_that_of_the_best_evaluation(tmp_path):
     last = yaml.safe_load((tmp_path / "last" / "policy.yaml").read_text())
     assert best["training"]["steps"] == 256
     assert last["training"]["steps"] == 768
+    assert not (tmp_path / "kept").exists()
+
+
+def test_a_stage_keeps_every_evaluated_policy_if_asked(tmp_path):
+    run(make_stage(tmp_path, steps=512, keep=True))
+    steps = [read_card(f)["training"]["steps"] for f in sorted((tmp_path / "kept").iterdir())]
+    assert steps == [0, 256, 512]
 
 
 def test_fine_tuning_that_does_not_help_is_not_kept(tmp_path):

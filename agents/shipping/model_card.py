@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.licence import NON_COMMERCIAL, OURS
+from agents.policy.average import AVERAGED, listed
 from agents.policy.policy_agent import PolicyAgent
 from questsim.errors import InputError
 from questsim.evaluation_report import LABELS
@@ -237,12 +238,23 @@ def _facts(agent: PolicyAgent, weights_bytes: int) -> list[str]:
         "licence": training["licence"],
         "trained on": _data(training),
         "training": f"{stages}; {whole} in all",
+        **_averaged(training),
         "seed": str(training["seed"]),
         "body": f"preset `{agent.needs.body_preset}`",
         "network": f"{layers} {spec.activation}, {weights_bytes / 1e6:.1f} MB in safetensors",
         "made with": packages,
     }
     return ["| | |", "|---|---|", *(f"| {name} | {text} |" for name, text in rows.items())]
+
+
+def _averaged(training: Mapping[str, Any]) -> dict[str, str]:
+    """A row about policies of the last stage that were averaged, if any were."""
+    if AVERAGED not in training:
+        return {}
+    steps = listed(training[AVERAGED])
+    return {
+        "weights": f"the mean of those after {steps} steps of the last stage (`questsim average`)"
+    }
 
 
 def time_text(minutes: float) -> str:

@@ -75,6 +75,7 @@ class StageConfig:
             often) or ``kind`` (as ``failure``, and rare kinds of motion more often).
         max_error_m: mean link error at which training episodes end early, to save simulation.
             Evaluations always allow 0.5 m.
+        keep_checkpoints: whether every evaluated policy is kept, for ``questsim average``.
     """
 
     share: float
@@ -85,6 +86,7 @@ class StageConfig:
     reward: RewardConfig = field(default_factory=RewardConfig)
     sampling: str = "failure"
     max_error_m: float = 0.5
+    keep_checkpoints: bool = False
 
     def __post_init__(self) -> None:
         within("a stage", 0.0, 1.0, share=self.share)

@@ -16,6 +16,7 @@ import torch
 
 from agents.agent import Needs
 from agents.evaluation.follow import Followed
+from agents.policy.average import KEPT
 from agents.policy.checkpoint import load_resume, save_policy, unpack
 from agents.policy.policy_agent import PolicyAgent
 from agents.training.cluster import with_rates_of
@@ -104,6 +105,7 @@ class Stage:
         beside: additional state saved with the learner's, for resuming.
         log: where curves go; see ``training_logger``.
         settings: shown beside the curves, in addition to ``record``.
+        keep: whether every evaluated policy is kept; see ``agents/policy/average.py``.
     """
 
     name: str
@@ -120,6 +122,7 @@ class Stage:
     beside: dict[str, Any] = field(default_factory=dict)
     log: LogName = "tensorboard"
     settings: dict[str, Any] = field(default_factory=dict)
+    keep: bool = False
     best_score: float = -1.0
     history: list[dict[str, float]] = field(default_factory=list)
 
@@ -212,14 +215,17 @@ class Stage:
         better = followed.score > self.best_score and np.isfinite(followed.score)
         if better:
             self.best_score = followed.score
-        keep = better and not (first and self.must_improve)
+        best = better and not (first and self.must_improve)
         display.say(
             f"{self.name}: {learner.num_timesteps / 1e6:.2f} M steps, {minutes:.1f} min: "
             f"tracked {100 * followed.tracked:.0f} %, score {followed.score:.3f}, "
-            f"link error {followed.error_cm:.1f} cm" + (" (best)" if keep else "")
+            f"link error {followed.error_cm:.1f} cm" + (" (best)" if best else "")
         )
-        if keep:
+        if best:
             save_policy(self.folder / "best", learner.policy, self.needs, self._card())
+        if self.keep:
+            kept = self.folder / KEPT / f"{learner.num_timesteps:012d}"
+            save_policy(kept, learner.policy, self.needs, self._card())
 
     def _card(self) -> dict[str, Any]:
         return self.record | {

@@ -324,6 +324,7 @@ def _run_stage(
             before_iteration=_schedule(config, learner),
             log=args.log,
             settings=plain(config),
+            keep=config.keep_checkpoints,
         )
         if args.vary:
             mapper = env.map if isinstance(env, ActorPool) else map

@@ -1,0 +1,112 @@
+"""Averages the weights of policies that one training passed through.
+
+The weights of a policy still move in a training's last part, more or less around one place. Their
+mean often does better than any of them (Izmailov et al., "Averaging Weights Leads to Wider Optima
+and Better Generalization", UAI 2018).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import torch
+import tyro
+import yaml
+from safetensors.torch import load_file, save
+
+from agents.policy.checkpoint import CARD_FILE, WEIGHTS_FILE, find_policy, load_policy, read_card
+from questsim.errors import InputError
+from questsim.files import whole_folder
+
+KEPT = "kept"
+"""Folder of a stage with the policies that ``keep_checkpoints`` keeps."""
+AVERAGED = "average_of_steps"
+"""Key of the training record: the steps after which the averaged policies were saved."""
+_OF_EACH = ("steps", "minutes", "evaluation")
+"""Keys of the training record in which policies of one training differ."""
+
+
+@dataclass
+class AverageArgs:
+    """Options of ``questsim average``."""
+
+    policies: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Policy folders of one training, or a stage folder: all of its kept policies but the first,
+    from which the training began (--set stages.student.keep_checkpoints=true keeps them)."""
+    out: Annotated[Path, tyro.conf.arg(help="The averaged policy's folder.")]
+
+
+def average_policies(args: AverageArgs) -> int:
+    """Average policies of one training; the exit code.
+
+    Raises:
+        InputError: see ``average``.
+    """
+    steps = average(_folders(args.policies), args.out)
+    print(f"written to {args.out}: the mean of the policies after {listed(steps)} steps")
+    return 0
+
+
+def listed(steps: list[int]) -> str:
+    """Numbers of steps in words, e.g. ``0.80 M, 1.60 M and 2.18 M``."""
+    words = [f"{number / 1e6:.2f} M" for number in steps]
+    return " and ".join([", ".join(words[:-1]), words[-1]])
+
+
+def _folders(policies: tuple[Path, ...]) -> list[Path]:
+    if len(policies) == 1 and (policies[0] / KEPT).is_dir():
+        return sorted((policies[0] / KEPT).iterdir())[1:]
+    return [find_policy(folder) for folder in policies]
+
+
+def average(folders: list[Path], out: Path) -> list[int]:
+    """Write the policy whose weights are the mean of those of several policies of one training.
+
+    Args:
+        folders: of two policies or more.
+        out: its folder; best inside the run, so that ``questsim ship`` finds the run's record.
+
+    Returns:
+        The steps after which they were saved.
+
+    Raises:
+        InputError: there are fewer than two, they are of different trainings, or ``out`` exists.
+    """
+    if len(folders) < 2:
+        found = "there is 1 policy" if folders else "there is no policy"
+        fix = "name two checkpoints or more, or a stage folder that kept some"
+        raise InputError(f"{found} to average", "questsim average", fix)
+    if out.exists():
+        raise InputError("is there already", out, "give another --out")
+    folders = sorted(folders, key=lambda folder: read_card(folder)["training"]["steps"])
+    cards = [read_card(folder) for folder in folders]
+    for folder, card in zip(folders, cards, strict=True):
+        load_policy(folder)  # refuses damaged weights
+        if _of_training(card) != _of_training(cards[0]):
+            fix = "average policies of one stage of one training"
+            raise InputError(f"is of another training than {folders[0]}", folder, fix)
+    steps = [int(card["training"]["steps"]) for card in cards]
+    card = cards[-1]
+    del card["training"]["evaluation"]  # of the last of them
+    card["training"][AVERAGED] = steps
+    weights = [load_file(folder / WEIGHTS_FILE) for folder in folders]
+    mean = {name: _mean([part[name] for part in weights]) for name in weights[0]}
+    with whole_folder(out) as fresh:
+        (fresh / WEIGHTS_FILE).write_bytes(save(mean))
+        (fresh / CARD_FILE).write_text(yaml.safe_dump(card, sort_keys=False), encoding="utf-8")
+    return steps
+
+
+def _mean(tensors: list[torch.Tensor]) -> torch.Tensor:
+    """Mean in double precision; counts, which are whole numbers, are those of the last."""
+    if not tensors[0].is_floating_point():
+        return tensors[-1]
+    return torch.stack([t.double() for t in tensors]).mean(0).to(tensors[0].dtype).contiguous()
+
+
+def _of_training(card: dict[str, Any]) -> dict[str, Any]:
+    """What policies of one training have in common."""
+    training = {k: v for k, v in card["training"].items() if k not in _OF_EACH}
+    return {**card, "training": training}
