@@ -205,7 +205,11 @@ def _cluster(args: TrainArgs) -> AbstractContextManager[None]:
 def _outcome(out: Path) -> str:
     """Print where the policy is, if the training saved one."""
     try:
-        return f"trained: {find_policy(out)}"
+        return (
+            f"trained: {find_policy(out)}\n"
+            f"score it: questsim evaluate --agent {out} --motions synthetic --out {out}/scores\n"
+            f"watch it: questsim play {out}"
+        )
     except InputError:  # fine-tuning saves only a policy better than its start
         return f"no better than its start yet; go on with --resume --out {out}"
 
