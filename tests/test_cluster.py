@@ -176,16 +176,17 @@ def test_workers_that_share_the_batches_of_a_system_lose_nothing_with_one(
 
 
 def test_a_worker_that_learns_alone_has_the_bits_of_a_training_without(batch):
-    from agents.training.shared_update import LearningWorker, _packed, _unpacked
+    from agents.training.peers import packed, unpacked
+    from agents.training.shared_update import LearningWorker
 
     ppo = make_ppo(CONFIG, CONFIG.learning, batch.make(), 3)  # type: ignore[arg-type]
-    update, episodes = _packed(ppo.update_state()), []
+    update, episodes = packed(ppo.update_state()), []
     worker = LearningWorker(batch)
     worker.learn_ppo(CONFIG, CONFIG.learning.minibatch, 1)
     for _ in range(3):
         learned = worker.learn(update, episodes, False, 0.0)
         update, episodes = learned.update, learned.played.episodes
-    ppo.load_update_state(_unpacked(update))
+    ppo.load_update_state(unpacked(update))
     assert same(weights_of(ppo.policy), trained(batch.make()))
 
 
