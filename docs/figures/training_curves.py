@@ -50,7 +50,9 @@ FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
     ),
     "training-wider.png": (
         ("wider, tracker, second part", "tracker, second part"),
-        ("wider, tracker from nothing", "tracker from nothing, not shipped"),
+        ("wider, tracker from nothing", "tracker from nothing"),
+        ("wider, tracker of two", "one tracker of two, from it"),
+        ("wider, tracker, seats", "D: sits down, too"),
         ("wider, student", "wide student, with device errors, first part"),
         ("wider, student, last part", "wide student, last part"),
         ("wider, questsim", "questsim, one student of two"),
