@@ -174,7 +174,7 @@ def test_rollouts_on_a_terrain_are_scored_against_the_clip_on_its_feet_there() -
     [
         (("evaluate", "--agent", "zero", "--terrain", "lava"), "unknown terrain 'lava'"),
         (("evaluate", "--agent", "zero", "--objects", "ball", "lava"), "unknown object 'lava'"),
-        (("evaluate", "--agent", "zero", "--height", "3"), "1.2-2.2 m"),
+        (("evaluate", "--agent", "zero", "--height", "3"), "1.2 to 2.2 m"),
         (("train", "--out", "run", "--env", "rough:amplitude_m=9"), "amplitude_m is 9"),
         (("envs", "--name", "QuestSimMoon-v0"), "there is no 'QuestSimMoon-v0'"),
     ],
