@@ -50,6 +50,7 @@ def test_a_stage_folder_stands_for_what_it_kept_but_its_begin(tmp_path: Path) ->
         ("one", "there is 1 policy to average"),
         ("other", "is of another training"),
         ("there", "is there already"),
+        ("unstated", "does not state the steps"),
     ],
 )
 def test_what_cannot_be_averaged_is_refused_and_nothing_written(
@@ -58,6 +59,8 @@ def test_what_cannot_be_averaged_is_refused_and_nothing_written(
     a, b = saved(tmp_path / "a", 1.0, 1), saved(tmp_path / "b", 2.0, 2)
     if case == "other":
         b = saved(tmp_path / "c", 2.0, 2, preset="smoke")
+    if case == "unstated":
+        save_policy(b, load_policy(b).policy, Needs(), {})
     out = a if case == "there" else tmp_path / "mean"
     with pytest.raises(InputError, match=says):
         average_policies(AverageArgs((a,) if case == "one" else (a, b), out))

@@ -72,7 +72,8 @@ def average(folders: list[Path], out: Path) -> list[int]:
         The steps after which they were saved.
 
     Raises:
-        InputError: there are fewer than two, they are of different trainings, or ``out`` exists.
+        InputError: there are fewer than two, they are of different trainings or do not state
+            theirs, or ``out`` exists.
     """
     if len(folders) < 2:
         found = "there is 1 policy" if folders else "there is no policy"
@@ -80,22 +81,30 @@ def average(folders: list[Path], out: Path) -> list[int]:
         raise InputError(f"{found} to average", "questsim average", fix)
     if out.exists():
         raise InputError("is there already", out, "give another --out")
-    folders = sorted(folders, key=lambda folder: read_card(folder)["training"]["steps"])
+    folders = sorted(folders, key=_steps_of)
     cards = [read_card(folder) for folder in folders]
     for folder, card in zip(folders, cards, strict=True):
         load_policy(folder)  # refuses damaged weights
         if _of_training(card) != _of_training(cards[0]):
             fix = "average policies of one stage of one training"
             raise InputError(f"is of another training than {folders[0]}", folder, fix)
-    steps = [int(card["training"]["steps"]) for card in cards]
+    steps = [_steps_of(folder) for folder in folders]
     card = cards[-1]
-    del card["training"]["evaluation"]  # of the last of them
+    card["training"].pop("evaluation", None)  # of the last of them
     card["training"][AVERAGED] = steps
     weights = [load_file(folder / WEIGHTS_FILE) for folder in folders]
     mean = {name: _mean([part[name] for part in weights]) for name in weights[0]}
     with whole_folder(out) as fresh:
         (fresh / WEIGHTS_FILE).write_bytes(save(mean))
         (fresh / CARD_FILE).write_text(yaml.safe_dump(card, sort_keys=False), encoding="utf-8")
+    return steps
+
+
+def _steps_of(folder: Path) -> int:
+    training = read_card(folder).get("training")
+    steps = training.get("steps") if isinstance(training, dict) else None
+    if not isinstance(steps, int):
+        raise InputError("does not state the steps of its training", folder / CARD_FILE)
     return steps
 
 
