@@ -13,12 +13,10 @@ from typing import Annotated, Any
 
 import torch
 import tyro
-import yaml
-from safetensors.torch import load_file, save
 
-from agents.policy.checkpoint import CARD_FILE, WEIGHTS_FILE, find_policy, load_policy, read_card
+from agents.policy.checkpoint import CARD_FILE, find_policy, load_policy, save_policy
+from agents.policy.policy_agent import PolicyAgent
 from questsim.errors import InputError
-from questsim.files import whole_folder
 
 KEPT = "kept"
 """Folder of a stage with the policies that ``keep_checkpoints`` keeps."""
@@ -81,27 +79,25 @@ def average(folders: list[Path], out: Path) -> list[int]:
         raise InputError(f"{found} to average", "questsim average", fix)
     if out.exists():
         raise InputError("is there already", out, "give another --out")
-    folders = sorted(folders, key=_steps_of)
-    cards = [read_card(folder) for folder in folders]
-    for folder, card in zip(folders, cards, strict=True):
-        load_policy(folder)  # refuses damaged weights
-        if _of_training(card) != _of_training(cards[0]):
+    policies = [(folder, load_policy(folder)) for folder in folders]
+    policies.sort(key=lambda policy: _steps_of(*policy))
+    first, agents = policies[0][0], [agent for _, agent in policies]
+    for folder, agent in policies:
+        if _of_training(agent.card) != _of_training(agents[0].card):
             fix = "average policies of one stage of one training"
-            raise InputError(f"is of another training than {folders[0]}", folder, fix)
-    steps = [_steps_of(folder) for folder in folders]
-    card = cards[-1]
-    card["training"].pop("evaluation", None)  # of the last of them
-    card["training"][AVERAGED] = steps
-    weights = [load_file(folder / WEIGHTS_FILE) for folder in folders]
-    mean = {name: _mean([part[name] for part in weights]) for name in weights[0]}
-    with whole_folder(out) as fresh:
-        (fresh / WEIGHTS_FILE).write_bytes(save(mean))
-        (fresh / CARD_FILE).write_text(yaml.safe_dump(card, sort_keys=False), encoding="utf-8")
+            raise InputError(f"is of another training than {first}", folder, fix)
+    steps, last = [agent.card["training"]["steps"] for agent in agents], agents[-1]
+    weights = [agent.policy.state_dict() for agent in agents]
+    last.policy.load_state_dict(
+        {name: _mean([part[name] for part in weights]) for name in weights[0]}
+    )
+    training = {k: v for k, v in last.card["training"].items() if k != "evaluation"}
+    save_policy(out, last.policy, last.needs, training | {AVERAGED: steps})
     return steps
 
 
-def _steps_of(folder: Path) -> int:
-    training = read_card(folder).get("training")
+def _steps_of(folder: Path, agent: PolicyAgent) -> int:
+    training = agent.card.get("training")
     steps = training.get("steps") if isinstance(training, dict) else None
     if not isinstance(steps, int):
         raise InputError("does not state the steps of its training", folder / CARD_FILE)
@@ -112,7 +108,7 @@ def _mean(tensors: list[torch.Tensor]) -> torch.Tensor:
     """Mean in double precision; counts, which are whole numbers, are those of the last."""
     if not tensors[0].is_floating_point():
         return tensors[-1]
-    return torch.stack([t.double() for t in tensors]).mean(0).to(tensors[0].dtype).contiguous()
+    return torch.stack([t.double() for t in tensors]).mean(0).to(tensors[0].dtype)
 
 
 def _of_training(card: dict[str, Any]) -> dict[str, Any]:
