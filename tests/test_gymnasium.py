@@ -49,7 +49,9 @@ def plan(steps: int, n: int, scale: float = 0.6) -> np.ndarray:
 
 @pytest.mark.parametrize("face", FACES)
 def test_unseeded_resets_differ_and_seeded_environments_agree(face: Any) -> None:
-    assert not np.array_equal(first_obs(made(face)), first_obs(made(face)))
+    one, other = made(face), made(face)
+    # Three clips hold few starts: a single reset of each coincides once in some hundred runs.
+    assert any(not np.array_equal(first_obs(one), first_obs(other)) for _ in range(8))
     np.testing.assert_array_equal(first_obs(made(face, seed=4)), first_obs(made(face, seed=4)))
     fixed = EnvConfig(fixed_start=True)
     same = [first_obs(made(face, config=fixed)) for _ in range(2)]
