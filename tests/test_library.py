@@ -9,6 +9,8 @@ from questsim.errors import InputError
 from questsim.motion.library import Library, load_library, save_library
 from questsim.motion.reading import ReadOptions, read_motion
 from questsim.motion.retarget import to_clip
+from questsim.motion.retarget_back import to_motion
+from questsim.motion.spec import load_recordings
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +67,19 @@ def test_chosen_names_and_parts_alone_are_read(saved):
 def test_an_empty_library_can_be_kept(tmp_path):
     save_library(tmp_path / "empty.npz", [], [])
     assert load_library(tmp_path / "empty.npz") == Library()
+
+
+def test_recordings_of_a_library_of_clips_alone_are_made_from_its_clips(saved, tmp_path):
+    clips = load_library(saved).clips
+    save_library(tmp_path / "varied.npz", [], clips)
+    for motion, clip in zip(load_recordings(str(tmp_path / "varied.npz")), clips, strict=True):
+        made = to_motion(clip)
+        assert motion.name == clip.name
+        np.testing.assert_allclose(motion.root_position, made.root_position, atol=1e-6)
+        np.testing.assert_allclose(motion.rotations, made.rotations, atol=1e-6)
+    save_library(tmp_path / "empty.npz", [], [])
+    with pytest.raises(InputError, match=r"no motions in .*empty\.npz"):
+        load_recordings(str(tmp_path / "empty.npz"))
 
 
 def changed(path: Path, **changes) -> Path:

@@ -92,6 +92,8 @@ def load_recordings(
 ) -> list[Motion]:
     """Like ``load_motions``, but motions on the 22-joint skeleton, as recorded or generated.
 
+    A library of variations or estimates holds clips alone: motions are made from these.
+
     Args:
         spec: as in ``load_motions``.
         mirrored: add a mirrored copy of each motion after the motion itself.
@@ -108,12 +110,15 @@ def load_recordings(
             return _with_unique_names(load_mixture(part, several, seed))
         if _is_synthetic(part):
             return [to_motion(clip) for clip in _synthetic(part, seed)]
-        return _load(part, False, strict).motions
+        recorded = _load(part, False, strict).motions
+        return recorded or [to_motion(clip) for clip in _load(part, True, strict).clips]
 
     def several(spec: str | Sequence[str], seed: int) -> list[Motion]:
         return _with_unique_names([(part, of(part, seed)) for part in _parts(spec)])
 
     motions = several(spec, seed)
+    if not motions:
+        raise InputError(f"no motions in {spec}", fix="name a library or folder that holds some")
     if mirrored:
         motions = [copy for motion in motions for copy in (motion, motion.mirrored())]
     return motions
