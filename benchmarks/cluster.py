@@ -43,7 +43,7 @@ STAGE = PRESETS["cpu"].stages["teacher"]
 
 
 @dataclass(frozen=True)
-class Costs:
+class StepCosts:
     """What the model is made of.
 
     Attributes:
@@ -126,7 +126,7 @@ class Timed:
         return statistics.median(self.whole)
 
 
-def measured(envs: int, repeats: int) -> tuple[dict[str, float], Costs]:
+def measured(envs: int, repeats: int) -> tuple[dict[str, float], StepCosts]:
     """CPU times of every variant, and the costs for the model."""
     learning = STAGE.learning
     assert isinstance(learning, PPOConfig)
@@ -146,7 +146,7 @@ def measured(envs: int, repeats: int) -> tuple[dict[str, float], Costs]:
     whole = {name: run.iteration for name, run in runs.items()}
     play, learn = runs["no Ray"].seconds
     weights = sum(p.numel() for p in runs["no Ray"].ppo.policy.parameters())
-    costs = Costs(
+    costs = StepCosts(
         play / samples, learn / samples, size, 4.0 * weights, learning.minibatch, learning.epochs
     )
     return {

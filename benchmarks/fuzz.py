@@ -44,7 +44,7 @@ ASLEEP_S = 900.0
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CaseResult:
     """How a case ended: ``ok``, ``refused``, or how it failed, and the message."""
 
     reader: str
@@ -72,7 +72,7 @@ def case_files(reader: Reader, seed: int, number: int, folder: Path) -> Path:
     return folder / given
 
 
-def run_case(reader: Reader, seed: int, number: int, folder: Path) -> Outcome:
+def run_case(reader: Reader, seed: int, number: int, folder: Path) -> CaseResult:
     """One case, in this process."""
     from questsim.errors import InputError
 
@@ -93,7 +93,7 @@ def run_case(reader: Reader, seed: int, number: int, folder: Path) -> Outcome:
     took = time.process_time() - began
     if took > LIMIT_S:
         kind, message = "slow", f"{took:.1f} s; {message}"
-    return Outcome(reader.name, number, kind, message)
+    return CaseResult(reader.name, number, kind, message)
 
 
 def _work(connection: Connection, seed: int) -> None:
@@ -147,7 +147,7 @@ class _Worker:
         self.task, self.until = task, time.monotonic() + ASLEEP_S
         self.connection.send(task)
 
-    def receive(self) -> Outcome | None:
+    def receive(self) -> CaseResult | None:
         """The outcome of its case, if there is one by now."""
         assert self.task is not None
         try:
@@ -156,18 +156,18 @@ class _Worker:
         except EOFError:
             self.process.join()
             if self.process.exitcode == -signal.SIGXCPU:
-                return Outcome(*self.task, "hung", f"more than {HUNG_S} s of processor time")
-            return Outcome(*self.task, "killed", f"exit code {self.process.exitcode}")
+                return CaseResult(*self.task, "hung", f"more than {HUNG_S} s of processor time")
+            return CaseResult(*self.task, "killed", f"exit code {self.process.exitcode}")
         except (UnicodeDecodeError, pickle.UnpicklingError) as error:  # memory was overwritten
             self.process.kill()
-            return Outcome(*self.task, "killed", f"an answer that cannot be read: {error}")
+            return CaseResult(*self.task, "killed", f"an answer that cannot be read: {error}")
         if time.monotonic() > self.until:
             self.process.kill()
-            return Outcome(*self.task, "hung", f"no answer in {ASLEEP_S:g} s")
+            return CaseResult(*self.task, "hung", f"no answer in {ASLEEP_S:g} s")
         return None
 
 
-def fuzz(seed: int, count: int, names: list[str], processes: int) -> list[Outcome]:
+def fuzz(seed: int, count: int, names: list[str], processes: int) -> list[CaseResult]:
     """The outcomes of ``count`` cases, the readers in turn."""
     from tqdm import tqdm
 
@@ -175,7 +175,7 @@ def fuzz(seed: int, count: int, names: list[str], processes: int) -> list[Outcom
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     tasks = [(names[i % len(names)], i // len(names)) for i in range(count)][::-1]
     workers: list[_Worker] = []
-    outcomes: list[Outcome] = []
+    outcomes: list[CaseResult] = []
     bar = tqdm(total=count, unit=" cases", disable=None)
     while len(outcomes) < count:
         workers = [w for w in workers if w.process.is_alive() or w.task]
@@ -203,7 +203,7 @@ def fuzz(seed: int, count: int, names: list[str], processes: int) -> list[Outcom
     return outcomes
 
 
-def keep(outcomes: list[Outcome], seed: int, folder: Path) -> None:
+def keep(outcomes: list[CaseResult], seed: int, folder: Path) -> None:
     """Write the files of the failures, a folder each."""
     for outcome in outcomes:
         place = folder / f"{outcome.reader}-{outcome.number}"

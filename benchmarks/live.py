@@ -155,7 +155,7 @@ def starts(agent: str, clips: Sequence[Clip], assist_n: float) -> dict[str, floa
 
 
 @dataclass(frozen=True)
-class Followed:
+class LiveResult:
     """A clip that a calibrated avatar has followed.
 
     Attributes:
@@ -171,7 +171,7 @@ class Followed:
     links: dict[int, np.ndarray]
 
 
-def followed(agent: str, clip: Clip, assist_n: float) -> Followed:
+def followed(agent: str, clip: Clip, assist_n: float) -> LiveResult:
     """Follow a clip with a calibrated avatar."""
     user = SyntheticUser(clip.height_m, noise_m=0.001)
     frames, (span,) = stream(user, [clip], 72.0)
@@ -187,9 +187,9 @@ def followed(agent: str, clip: Clip, assist_n: float) -> Followed:
             continue
         apart = np.linalg.norm(pose.link_position - span.clip.link_position[number], axis=-1)
         if apart.mean() > MAX_LINK_ERROR_M or fell:
-            return Followed(span.clip, False, early, links)
+            return LiveResult(span.clip, False, early, links)
         links[number] = pose.link_position
-    return Followed(span.clip, True, early, links)
+    return LiveResult(span.clip, True, early, links)
 
 
 if __name__ == "__main__":

@@ -60,13 +60,13 @@ class Pictures:
             NoGLError: there is no OpenGL library to render with.
         """
         from questsim.viewing.camera import Camera, three_quarter_azimuth
-        from questsim.viewing.render import Figure, SceneRenderer, object_markers
+        from questsim.viewing.render import DrawnAvatar, SceneRenderer, object_markers
 
         sim, height = self._sim, float(self._sim.heights[i])
         body = (height, sim.bodies.proportions[i])
         if body not in self._renderers:
             field = sim.placement.field
-            figure = Figure(height, body=sim.avatar.own, proportions=body[1])
+            figure = DrawnAvatar(height, body=sim.avatar.own, proportions=body[1])
             self._renderers[body] = SceneRenderer([figure], ground=field)
         pose = sim.qpos[i, : 7 + len(sim.avatar.dofs)]
         if i not in self._azimuth:

@@ -47,7 +47,7 @@ _CSV_PARTS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 @dataclass(frozen=True)
-class Recording:
+class DeviceRecording:
     """Recorded device frames.
 
     Attributes:
@@ -143,7 +143,7 @@ def write_recording(
             writer.write(frame)
 
 
-def read_recording(path: Path, convention: str | None = None) -> Recording:
+def read_recording(path: Path, convention: str | None = None) -> DeviceRecording:
     """Read a recording: ours (``.jsonl.gz``), iwer's (``.json``) or named columns (``.csv``).
 
     Args:
@@ -188,7 +188,7 @@ def example_path() -> Path:
 
 def _checked(
     path: Path, frames: Sequence[DeviceFrame], calibration: Mapping[str, Any] | None
-) -> Recording:
+) -> DeviceRecording:
     if not any("headset" in frame.poses for frame in frames):
         raise InputError("no frame has a headset", path)
     if len(frames) > MAX_FRAMES:
@@ -200,10 +200,10 @@ def _checked(
                 f"{path}, frame {number + 2}",
                 "frames must be in order of time",
             )
-    return Recording(tuple(frames), calibration)
+    return DeviceRecording(tuple(frames), calibration)
 
 
-def _read_own(path: Path) -> Recording:
+def _read_own(path: Path) -> DeviceRecording:
     frames, header, where = [], None, str(path)
     try:
         with gzip.open(path, "rt", encoding="utf-8") as file:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.fuzz import Outcome, case_files, fuzz, run_case
+from benchmarks.fuzz import CaseResult, case_files, fuzz, run_case
 from benchmarks.fuzz_inputs import READERS, Reader
 from questsim.errors import InputError
 from questsim.motion.reading import read_motion
@@ -64,7 +64,7 @@ def test_a_mishandled_case_is_a_failure(read, kind, tmp_path):
     outcome = run_case(Reader("own", READERS["bvh"].inputs, read), 0, 0, tmp_path)
     assert outcome.kind == kind
     assert outcome.failed == (kind not in ("ok", "refused"))
-    assert Outcome("own", 0, "killed").failed
+    assert CaseResult("own", 0, "killed").failed
 
 
 def own(path: Path, *lines: str) -> Path:

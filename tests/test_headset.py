@@ -32,7 +32,7 @@ from envs.terrain import height_field, terrain_named
 from questsim.cli import main
 from questsim.devices import DeviceFrame, DevicePose, from_ours
 from questsim.errors import InputError
-from questsim.recordings import Recording, read_recording, write_recording
+from questsim.recordings import DeviceRecording, read_recording, write_recording
 from questsim.synthetic_user import STILL_S, SyntheticUser, stream
 
 UPRIGHT = [0.0, 1.6, 0.0, 0.0, 0.0, 0.0, 1.0]
@@ -288,11 +288,11 @@ def test_frame_of_a_message_is_the_devices_frame():
 
 
 @pytest.fixture(scope="module")
-def walk() -> Recording:
+def walk() -> DeviceRecording:
     """The first seven seconds of the shipped recording."""
     whole = read_recording(Path("synthetic"))
     end = whole.frames[0].time_s + 7.0
-    return Recording(tuple(f for f in whole.frames if f.time_s < end))
+    return DeviceRecording(tuple(f for f in whole.frames if f.time_s < end))
 
 
 class PoseOfHead:
@@ -342,7 +342,7 @@ def test_session_publishes_the_poses_of_a_replay(walk):
                 time.sleep(0.0005)
             session.push(frame)
     follower = Follower("questsim-now")
-    rest = calibrated(follower, Recording(tuple(frames)))
+    rest = calibrated(follower, DeviceRecording(tuple(frames)))
     shown = [state for state in said if state["type"] == "pose"]
     assert len(shown) == len(rest) > 50
     for state, pose in zip(shown, replayed(follower, rest), strict=True):

@@ -22,7 +22,7 @@ from questsim.devices import DeviceFrame, from_ours
 from questsim.exporting import write_clip
 from questsim.motion.clip import FPS
 from questsim.motion.spec import load_motions
-from questsim.recordings import Recording, read_recording
+from questsim.recordings import DeviceRecording, read_recording
 from questsim.skeleton import LINKS
 
 NO_PAGE = why_no_page(browser.missing())
@@ -37,11 +37,11 @@ def chromium():
 
 
 @pytest.fixture(scope="module")
-def walk() -> Recording:
+def walk() -> DeviceRecording:
     """The first five seconds of the shipped recording, every third frame: drawing is slow here."""
     whole = read_recording(Path("synthetic"))
     end = whole.frames[0].time_s + 5.0
-    return Recording(tuple(f for f in whole.frames if f.time_s < end)[::3])
+    return DeviceRecording(tuple(f for f in whole.frames if f.time_s < end)[::3])
 
 
 def test_person_in_an_emulated_headset_moves_the_avatar_as_the_recording_does(

@@ -239,7 +239,7 @@ def test_an_interrupted_command_keeps_what_it_made(tmp_path, capsys, monkeypatch
         yield from made
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("questsim.motion.vary_command.variations", interrupted)
+    monkeypatch.setattr("agents.commands.vary.variations", interrupted)
     out = tmp_path / "part.npz"
     assert main(["motions", "vary", "synthetic:stand", "--out", str(out), "--count", "9"]) == 130
     assert len(load_library(out).clips) == 2

@@ -30,7 +30,7 @@ from questsim.viewing.films import (
     rollout_video,
 )
 from questsim.viewing.outline import outline_points, stick_picture
-from questsim.viewing.render import Figure, SceneRenderer, metre_tile
+from questsim.viewing.render import DrawnAvatar, SceneRenderer, metre_tile
 from questsim.viewing.show_command import ShowArgs, file_name, show_clip
 from questsim.viewing.video import write_video
 
@@ -103,8 +103,8 @@ def test_a_display_adds_glfw():
 def test_a_backend_can_be_chosen_after_mujoco_was_imported():
     code = (
         "import mujoco\n"
-        "from questsim.viewing.render import Figure, SceneRenderer\n"
-        "SceneRenderer([Figure()], 32, 32).close()\n"
+        "from questsim.viewing.render import DrawnAvatar, SceneRenderer\n"
+        "SceneRenderer([DrawnAvatar()], 32, 32).close()\n"
         "print('ok')"
     )
     env = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
@@ -184,7 +184,7 @@ def test_taller_people_are_taller_in_the_picture_and_stand_where_they_should():
     camera = Camera(np.array([0.0, 0.0, 0.9]), 4.0, 180.0, 0.0)
     extents = []
     for height in (1.4, 1.9):
-        with SceneRenderer([Figure(height)], 160, 240) as renderer:
+        with SceneRenderer([DrawnAvatar(height)], 160, 240) as renderer:
             person = renderer.render([standing(height)], camera)
             aside = standing(height) + np.eye(40)[1] * 50.0
             difference = np.abs(person.astype(int) - renderer.render([aside], camera)).sum(-1)
@@ -225,7 +225,7 @@ def test_objects_are_drawn_where_they_were():
         for part, at in zip((ball, box), there, strict=True)
     )
     (shot,) = (_shot(rollout(clip, objects=objects), 320 / 240, "ghost", None),)
-    figures = [Figure(devices=False), Figure(devices=False)]
+    figures = [DrawnAvatar(devices=False), DrawnAvatar(devices=False)]
     with SceneRenderer(figures, 320, 240) as renderer:
         picture = _picture(renderer, shot, 0, "").astype(int)
     yellow = (picture[..., 0] > picture[..., 2] + 90) & (picture[..., 1] > picture[..., 2] + 50)

@@ -1,29 +1,41 @@
-"""``questsim motions vary``, also on the workers of a Ray cluster."""
+"""``questsim motions vary``: write a library of variations, here or on the workers of Ray."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
+import tyro
 from tqdm import tqdm
 
-from questsim.errors import at_least
-from questsim.motion import vary_command
+from questsim.errors import INTERRUPTED, at_least
 from questsim.motion.clip import Clip
 from questsim.motion.library import save_library
 from questsim.motion.motions_command import check_library_path
 from questsim.motion.spec import load_motions
-from questsim.motion.variation import Tally, long_enough, variations
+from questsim.motion.variation import SHORTEST_S, Tally, long_enough, variations
 
 PART = 8
 """Variations that a worker makes at a time."""
 
 
 @dataclass(frozen=True)
-class VaryArgs(vary_command.VaryArgs):
+class VaryArgs:
     """Vary motions randomly in speed, posture, stance, path and arm movement."""
 
+    spec: tyro.conf.Positional[str]
+    """Motions to vary: a dataset (with :train), library, file, folder, or synthetic."""
+    out: Path
+    """The library to write, LIBRARY.npz."""
+    count: int = 1000
+    """How many variations."""
+    seed: int = 0
+    """Random seed; the same motions and seed give the same variations."""
+    first: int = 0
+    """Number of the first variation, to continue after an earlier library of this seed."""
     workers: int = 0
     """Ray workers that share the variations (docs/scaling.md); 0 for none."""
     ray: str | None = None
@@ -31,37 +43,70 @@ class VaryArgs(vary_command.VaryArgs):
 
 
 def vary_motions(args: VaryArgs) -> int:
-    """See ``questsim.motion.vary_command``; workers make the same variations.
+    """Write a library of variations; print a summary of them and of the rejected recipes.
+
+    Workers make the same variations. After Ctrl-C the library holds the variations made so far.
+
+    Returns:
+        the exit code.
 
     Raises:
-        InputError: as there, or Ray or the cluster cannot be used.
+        InputError: the motions cannot be varied, the library cannot be written, or Ray or its
+            cluster cannot be used.
     """
-    if not args.workers and args.ray is None:
-        return vary_command.vary_motions(args)
-    # Imported here: this loads PyTorch, which variations on this machine alone do not need.
-    from agents.training.ray_session import ray_map
-
     at_least(1, count=args.count)
     at_least(0, seed=args.seed, first=args.first, workers=args.workers)
     check_library_path(args.out)
     clips = load_motions(args.spec, seed=args.seed)
-    long_enough(clips)
+    left_out = len(clips) - len(long_enough(clips))
+    if left_out:
+        print(f"{left_out} of {len(clips)} clips are shorter than {SHORTEST_S:g} s or need a chair")
     numbers = range(args.first, args.first + args.count)
+    tally, made, code = Tally(), [], 0
+    if args.workers or args.ray is not None:
+        stream = _from_workers(args, clips, numbers, tally)
+    else:
+        stream = variations(clips, numbers, args.seed, tally=tally)
+    try:
+        for clip in tqdm(stream, total=args.count, unit=" clips", disable=None):
+            made.append(clip)
+    except KeyboardInterrupt:
+        if not made:
+            raise
+        code = INTERRUPTED
+    save_library(args.out, [], made)
+    _print_summary(made, tally)
+    print(f"{len(made)} clips, {sum(clip.duration for clip in made):.0f} s, in {args.out}")
+    if code:
+        done = args.first + len(made)
+        print(f"interrupted; go on with --first {done} --count {numbers.stop - done}")
+    return code
+
+
+def _from_workers(
+    args: VaryArgs, clips: Sequence[Clip], numbers: range, tally: Tally
+) -> Iterator[Clip]:
+    """The variations in order, made on the workers of Ray; counts them in ``tally``."""
+    # Imported here: this loads PyTorch, which variations on this machine alone do not need.
+    from agents.training.ray_session import ray_map
+
     parts = [numbers[i : i + PART] for i in range(0, len(numbers), PART)]
-    made, tally = [], Tally()
     with ray_map(args.workers, args.ray) as mapper:
-        results = mapper(partial(_part, clips, args.seed), parts)
-        for variants, counted in tqdm(results, total=len(parts), disable=None):
-            made += variants
+        for variants, counted in mapper(partial(_part, clips, args.seed), parts):
             tally.tried += counted.tried
             for why, count in counted.rejected.items():
                 tally.rejected[why] += count
-    save_library(args.out, [], made)
-    print(tally)
-    print(f"{len(made)} clips, {sum(clip.duration for clip in made):.0f} s, in {args.out}")
-    return 0
+            yield from variants
 
 
 def _part(clips: Sequence[Clip], seed: int, numbers: range) -> tuple[list[Clip], Tally]:
     tally = Tally()
     return list(variations(clips, numbers, seed, tally=tally)), tally
+
+
+def _print_summary(made: list[Clip], tally: Tally) -> None:
+    ingredients = Counter(clip.kind.rpartition("+")[2] for clip in made)
+    print("most of all: " + ", ".join(f"{name} {n}" for name, n in ingredients.most_common()))
+    print(tally)
+    licences = sorted({clip.licence or "not stated" for clip in made})
+    print(f"licence: {', '.join(licences)}")

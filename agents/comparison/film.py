@@ -44,7 +44,7 @@ from questsim.viewing.costume import AVATAR, REFERENCE, Look
 from questsim.viewing.films import named, one_of_each_kind, title
 from questsim.viewing.gl import NoGLError, find_gl, missing_gl
 from questsim.viewing.outline import outline_points
-from questsim.viewing.render import Figure, SceneRenderer
+from questsim.viewing.render import DrawnAvatar, SceneRenderer
 from questsim.viewing.video import palette, write_video
 
 VIDEO, SHEET = "comparison.mp4", "comparison.png"
@@ -277,13 +277,13 @@ class FilmScene:
     def _errors(self, clip: Clip) -> np.ndarray:
         return mpjpe_cm(clip.link_position, self.user.link_position[: len(clip)])
 
-    def figures(self) -> list[Figure]:
+    def figures(self) -> list[DrawnAvatar]:
         """The user, then each agent and the user's ghost."""
         height = self.user.height_m
-        ghost = Figure(height, REFERENCE.faded(GHOST_OPACITY), devices=False)
-        figures = [Figure(height, REFERENCE)]
+        ghost = DrawnAvatar(height, REFERENCE.faded(GHOST_OPACITY), devices=False)
+        figures = [DrawnAvatar(height, REFERENCE)]
         for part in self.parts[1:]:
-            figures += [Figure(part.clip.height_m, look_of(part.kind), devices=False), ghost]
+            figures += [DrawnAvatar(part.clip.height_m, look_of(part.kind), devices=False), ghost]
         return figures
 
     def poses(self, frame: int) -> list[np.ndarray]:

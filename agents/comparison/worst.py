@@ -21,7 +21,7 @@ from questsim.viewing.camera import Camera
 from questsim.viewing.captions import INK, Corner, caption, font
 from questsim.viewing.costume import REFERENCE
 from questsim.viewing.films import clip_cameras
-from questsim.viewing.render import Figure, SceneRenderer
+from questsim.viewing.render import DrawnAvatar, SceneRenderer
 from questsim.viewing.video import palette
 
 FILE = "worst.png"
@@ -85,8 +85,8 @@ def _pictures(
 ) -> Iterator[np.ndarray]:
     width, height = TILE
     figures = [
-        Figure(part.clip.height_m, look_of(part.kind), devices=False),
-        Figure(user.height_m, REFERENCE.faded(GHOST_OPACITY), devices=False),
+        DrawnAvatar(part.clip.height_m, look_of(part.kind), devices=False),
+        DrawnAvatar(user.height_m, REFERENCE.faded(GHOST_OPACITY), devices=False),
     ]
     # Twice as large and reduced: shadows have no smooth edges otherwise.
     with SceneRenderer(figures, 2 * width, 2 * height) as renderer:

@@ -43,7 +43,7 @@ FirstAnswers = Callable[[Sequence[Clip]], Mapping[str, Clip]]
 
 
 @dataclass(frozen=True)
-class _Job:
+class _PlannedTrial:
     """A trial with all that it needs.
 
     Attributes:
@@ -156,7 +156,7 @@ def _jobs(
     seed: int,
     names: Sequence[str],
     extra: str | None,
-) -> list[_Job]:
+) -> list[_PlannedTrial]:
     """The trials with their agents and clips; everything is loaded before anything runs."""
     from questsim.motion.spec import load_motions
 
@@ -181,13 +181,13 @@ def _jobs(
         settings = 1 if trial.world is None else len(trial.world.settings)
         frames = sum(map(len, clips)) * (16 if trial.push_n is not None else settings)
         label = agent + trial.suffix
-        jobs.append(_Job(name, trial, label, acting, spec, list(clips), config, frames))
+        jobs.append(_PlannedTrial(name, trial, label, acting, spec, list(clips), config, frames))
     if not jobs:
         raise InputError("no clip of these motions suits --rows", motions, "choose other rows")
     return jobs
 
 
-def _learnt(agent: str, motions: str, jobs: Sequence[_Job]) -> list[_Job]:
+def _learnt(agent: str, motions: str, jobs: Sequence[_PlannedTrial]) -> list[_PlannedTrial]:
     """For a test split also the training split, with as many clips."""
     from questsim.motion.spec import load_motions
 
@@ -201,7 +201,7 @@ def _learnt(agent: str, motions: str, jobs: Sequence[_Job]) -> list[_Job]:
     return [replace(plain_job, name="train", motions=spec, clips=clips, frames=frames)]
 
 
-def _key(job: _Job) -> str:
+def _key(job: _PlannedTrial) -> str:
     """Hash of all that a trial's figures depend on."""
     digest = hashlib.sha256(json.dumps(plain(versions()), sort_keys=True).encode())
     digest.update(repr((job.name, job.trial, job.config)).encode())
@@ -216,7 +216,7 @@ def _key(job: _Job) -> str:
     return digest.hexdigest()
 
 
-def _kept(job: _Job, out: Path | None) -> dict[str, Any] | None:
+def _kept(job: _PlannedTrial, out: Path | None) -> dict[str, Any] | None:
     """The figures of an earlier evaluation of the same trial."""
     if out is None:
         return None
@@ -228,7 +228,7 @@ def _kept(job: _Job, out: Path | None) -> dict[str, Any] | None:
 
 
 def _evaluated(
-    job: _Job,
+    job: _PlannedTrial,
     out: Path | None,
     threads: int,
     first_answers: FirstAnswers | None,

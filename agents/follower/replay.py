@@ -23,7 +23,7 @@ from questsim.exporting.formats import FORMATS
 from questsim.files import whole_file
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.kinematics import clip_from_qpos
-from questsim.recordings import Recording, read_recording
+from questsim.recordings import DeviceRecording, read_recording
 from questsim.stream_metrics import Track, stream_scores, track_of
 
 CALIBRATION_S = 3.0
@@ -142,7 +142,7 @@ def show_recording(args: ShowRecordingArgs) -> None:
     print(f"written to {base}.png and {base}.json")
 
 
-def followed(args: FollowArgs, recording: Recording | None = None) -> Track:
+def followed(args: FollowArgs, recording: DeviceRecording | None = None) -> Track:
     """The avatar's motion on a recording, after the calibration.
 
     Raises:
@@ -169,7 +169,7 @@ def followed(args: FollowArgs, recording: Recording | None = None) -> Track:
 
 def calibrated(
     follower: Follower,
-    recording: Recording,
+    recording: DeviceRecording,
     seconds: float = CALIBRATION_S,
     height_m: float | None = None,
     pose: str = "hanging",

@@ -29,7 +29,7 @@ from questsim.avatar_pose import AvatarPose
 from questsim.devices import DeviceFrame
 from questsim.errors import InputError, at_least
 from questsim.exporting.formats import needs
-from questsim.recordings import Recording, RecordingWriter, read_recording
+from questsim.recordings import DeviceRecording, RecordingWriter, read_recording
 from questsim.sensors import DEVICES
 from questsim.viewing.page_server import LOOPBACK, check_address, is_loopback
 
@@ -236,7 +236,7 @@ def _session_maker(
 async def _serve(
     args: LiveArgs,
     make: Callable[..., LiveSession],
-    recording: Recording | None,
+    recording: DeviceRecording | None,
     scene: Scene,
 ) -> None:
     from agents.headset.server import LiveServer
@@ -289,7 +289,7 @@ def _osc_driver(port: int | None, roles: dict[str, str], session: LiveSession) -
         yield
 
 
-async def feed(session: LiveSession, recording: Recording) -> None:
+async def feed(session: LiveSession, recording: DeviceRecording) -> None:
     """Send a recording's frames at their times, in an endless loop."""
     while True:
         session.begin()

@@ -29,7 +29,7 @@ RECENT_S = 1.0
 """Frames of the last second are kept, to find the one of a pose's time."""
 
 
-class _Job(NamedTuple):
+class _Call(NamedTuple):
     """A call for the session's thread; None ends it."""
 
     call: Callable[[], None] | None
@@ -71,7 +71,7 @@ class LiveSession:
         self._height_m, self._pose, self._calibration = height_m, pose, calibration
         self._on_frame, self._on_pose = on_frame, on_pose
         self._palms = palms
-        self._jobs: deque[_Job] = deque()
+        self._calls: deque[_Call] = deque()
         self._news = threading.Condition()
         self._assist_n = follower.assist_n
         self._recent: deque[DeviceFrame] = deque()
@@ -86,7 +86,7 @@ class LiveSession:
         return self
 
     def __exit__(self, *_: Any) -> None:
-        self._put(_Job(None))
+        self._put(_Call(None))
         self._thread.join()
 
     @property
@@ -100,42 +100,42 @@ class LiveSession:
         received_s = time.monotonic()
         if self._on_frame is not None:
             self._on_frame(frame)
-        self._put(_Job(lambda: self._process(frame, received_s), is_frame=True))
+        self._put(_Call(lambda: self._process(frame, received_s), is_frame=True))
 
     def begin(self) -> None:
         """A driver has connected or requests a new calibration."""
-        self._put(_Job(self._begin))
+        self._put(_Call(self._begin))
 
     def resume(self) -> None:
         """The same driver is back after a lost connection: go on, if a calibration is known."""
-        self._put(_Job(self._resume))
+        self._put(_Call(self._resume))
 
     def end(self) -> None:
         """The driver has disconnected."""
-        self._put(_Job(self._end))
+        self._put(_Call(self._end))
 
     def assist(self, on: bool) -> None:
         """Switch the assisting force on, up to the follower's limit, or off."""
-        self._put(_Job(lambda: self._switch_assist(on)))
+        self._put(_Call(lambda: self._switch_assist(on)))
 
-    def _put(self, job: _Job) -> None:
-        """Queue a job. If too many frames wait, the oldest is dropped; so of requests."""
+    def _put(self, call: _Call) -> None:
+        """Queue a call. If too many frames wait, the oldest is dropped; so of requests."""
         with self._news:
-            alike = [i for i, other in enumerate(self._jobs) if other.is_frame == job.is_frame]
+            alike = [i for i, other in enumerate(self._calls) if other.is_frame == call.is_frame]
             if len(alike) >= MOST_WAITING:
-                del self._jobs[alike[0]]
-                self.dropped += job.is_frame
-            self._jobs.append(job)
+                del self._calls[alike[0]]
+                self.dropped += call.is_frame
+            self._calls.append(call)
             self._news.notify()
 
-    def _next_job(self) -> Callable[[], None] | None:
+    def _next_call(self) -> Callable[[], None] | None:
         with self._news:
-            self._news.wait_for(lambda: self._jobs)
-            return self._jobs.popleft().call
+            self._news.wait_for(lambda: self._calls)
+            return self._calls.popleft().call
 
     def _run(self) -> None:
         try:
-            while (call := self._next_job()) is not None:
+            while (call := self._next_call()) is not None:
                 call()
         except BaseException as error:  # the server reports it and stops
             self.failure = error

@@ -39,7 +39,7 @@ class _Bone:
 
 
 @dataclass
-class Skeleton:
+class AsfSkeleton:
     """Content of an ASF file.
 
     Attributes:
@@ -152,7 +152,7 @@ def _moves(bone: _Bone, values: np.ndarray) -> np.ndarray:
     return moves
 
 
-def read_asf(text: str, path: Path) -> Skeleton:
+def read_asf(text: str, path: Path) -> AsfSkeleton:
     """The skeleton of an ASF file's text.
 
     Raises:
@@ -166,7 +166,7 @@ def read_asf(text: str, path: Path) -> Skeleton:
     root, position = _root(sections["root"], path)
     bones = {"root": root} | _bones(sections["bonedata"], path)
     parents = _hierarchy(sections["hierarchy"], bones, path)
-    return Skeleton(bones, parents, not units.get("angle", "deg").startswith("rad"), position)
+    return AsfSkeleton(bones, parents, not units.get("angle", "deg").startswith("rad"), position)
 
 
 _Lines = list[tuple[int, list[str]]]
@@ -290,7 +290,7 @@ def _dofs(words: list[str], where: str) -> tuple[str, ...]:
     return dofs
 
 
-def _read_amc(text: str, skeleton: Skeleton, path: Path) -> dict[str, np.ndarray]:
+def _read_amc(text: str, skeleton: AsfSkeleton, path: Path) -> dict[str, np.ndarray]:
     """The values ``(T, number of dofs)`` of each moving bone.
 
     Raises:

@@ -180,7 +180,7 @@ def _code_digest() -> str:
     here = Path(__file__).parent
     others = (
         "cache datasets doubts inverse_dynamics library loaded many mixture motions_command naming "
-        "reproportion retarget_stream spec stance_stream variation vary_command"
+        "reproportion retarget_stream spec stance_stream variation"
     )
     sources = sorted(path for path in here.glob("*.py") if path.stem not in others.split())
     sources += [Path(str(module.__file__)) for module in (rotations, skeleton)]

@@ -80,12 +80,12 @@ def pictures(
 
 
 def _rendered(clip: Clip, frames: np.ndarray, cameras: Sequence[Camera]) -> Iterator[np.ndarray]:
-    from questsim.viewing.render import Figure, SceneRenderer
+    from questsim.viewing.render import DrawnAvatar, SceneRenderer
 
     width, height = TILE
     # Twice as large and reduced: shadows have no smooth edges otherwise.
     with SceneRenderer(
-        [Figure(clip.height_m, proportions=clip.proportions)], 2 * width, 2 * height
+        [DrawnAvatar(clip.height_m, proportions=clip.proportions)], 2 * width, 2 * height
     ) as renderer:
         for frame, camera in zip(frames, cameras, strict=True):
             picture = renderer.render([clip.qpos[frame]], camera)

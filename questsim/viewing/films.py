@@ -21,7 +21,7 @@ from questsim.viewing.camera import Camera, follow, three_quarter_azimuth
 from questsim.viewing.captions import caption
 from questsim.viewing.costume import REFERENCE, Look
 from questsim.viewing.outline import outline_points
-from questsim.viewing.render import Figure, SceneRenderer, device_markers, object_markers
+from questsim.viewing.render import DrawnAvatar, SceneRenderer, device_markers, object_markers
 from questsim.viewing.video import write_video
 
 
@@ -57,7 +57,7 @@ def clip_frames(
     """
     cameras = clip_cameras(clip, width / height)
     with SceneRenderer(
-        [Figure(clip.height_m, proportions=clip.proportions)], width, height
+        [DrawnAvatar(clip.height_m, proportions=clip.proportions)], width, height
     ) as renderer:
         for frame in range(0, len(clip), stride):
             picture = renderer.render([clip.qpos[frame]], cameras[frame])
@@ -206,13 +206,13 @@ def _body_of(rollout: Rollout) -> tuple[Any, ...]:
     return rollout.height_m, rollout.reference.proportions, rollout.body
 
 
-def _figures(rollout: Rollout, person: Look, devices: bool) -> list[Figure]:
+def _figures(rollout: Rollout, person: Look, devices: bool) -> list[DrawnAvatar]:
     """The avatar and its user."""
     own = None if rollout.body is None else map_of(rollout.body)
     parts, height = rollout.reference.proportions, rollout.height_m
     return [
-        Figure(height, devices=False, body=own, proportions=parts),
-        Figure(height, person, devices, body=own, proportions=parts),
+        DrawnAvatar(height, devices=False, body=own, proportions=parts),
+        DrawnAvatar(height, person, devices, body=own, proportions=parts),
     ]
 
 

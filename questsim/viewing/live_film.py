@@ -16,7 +16,7 @@ from questsim.viewing.captions import caption
 from questsim.viewing.costume import REFERENCE
 from questsim.viewing.live import Settings, Snapshot, force_arrows
 from questsim.viewing.outline import outline_points
-from questsim.viewing.render import Arrow, Figure, Marker, SceneRenderer, object_markers
+from questsim.viewing.render import Arrow, DrawnAvatar, Marker, SceneRenderer, object_markers
 from questsim.viewing.video import write_gif, write_video
 
 LEGEND = "orange: avatar   blue: its user   green: forces"
@@ -89,8 +89,8 @@ def take_frames(take: Take, width: int, height: int, stride: int = 1) -> Iterato
         margin=0.8,
     )
     figures = [
-        Figure(first.height_m),
-        Figure(first.user_m, REFERENCE.faded(_GHOST_OPACITY), devices=False),
+        DrawnAvatar(first.height_m),
+        DrawnAvatar(first.user_m, REFERENCE.faded(_GHOST_OPACITY), devices=False),
     ]
     with SceneRenderer(figures, width, height, first.ground) as renderer:
         for moment, camera in list(zip(take.moments, cameras, strict=True))[::stride]:

@@ -50,7 +50,7 @@ _MARKER_SIZES = {
 
 
 @dataclass(frozen=True)
-class Figure:
+class DrawnAvatar:
     """A figure in the picture.
 
     Attributes:
@@ -146,7 +146,7 @@ class SceneRenderer:
 
     def __init__(
         self,
-        figures: Sequence[Figure],
+        figures: Sequence[DrawnAvatar],
         width: int = 640,
         height: int = 480,
         ground: HeightField | None = None,
@@ -219,7 +219,7 @@ def _aim_lights(scene: mujoco.MjvScene, camera: Camera) -> None:
 
 
 def scene_spec(
-    figures: Sequence[Figure], width: int, height: int, ground: HeightField | None = None
+    figures: Sequence[DrawnAvatar], width: int, height: int, ground: HeightField | None = None
 ) -> mujoco.MjSpec:
     """Floor, sky, light and the figures, named ``0/...``, ``1/...`` in the order given."""
     spec = mujoco.MjSpec()
