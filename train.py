@@ -8,7 +8,7 @@ import sys
 # Threads that spin while they wait for work starve the physics threads next to them.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
-from agents.commands.train import TRAIN
+from agents.commands.modes import TRAIN
 from questsim.cli import run_modes
 
 if __name__ == "__main__":

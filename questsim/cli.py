@@ -6,135 +6,141 @@ subcommand when that subcommand runs, so that ``questsim --help`` does not load 
 
 from __future__ import annotations
 
-import importlib
 import os
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from questsim import __version__
-from questsim.errors import BAD_INPUT, INTERRUPTED, InputError
+from questsim.errors import BAD_INPUT, INTERRUPTED, InputError, did_you_mean
 from questsim.extensions import load_extensions
+from questsim.lazy import imported
 from questsim.modes import Modes
 from questsim.parsing import parse
 from questsim.processes import own_cores, processes
 
 
 class Command(NamedTuple):
-    """A subcommand: import paths of its function and of its options, and one line of help.
+    """A subcommand.
 
-    The function takes the dataclass of options as its only argument. For a command with several
-    modes, ``args`` names its ``Modes`` and ``function`` is empty.
+    Attributes:
+        args: ``"package.module:name"`` of its dataclass of options, or of its ``Modes``. Loading
+            that module takes a fraction of a second, so that ``--help`` and errors come at once.
+        function: the same of its function, which takes the options as its only argument; empty for
+            a command with several modes.
+        help: one line.
     """
 
-    module: str
-    function: str
     args: str
+    function: str
     help: str
 
 
 COMMANDS: dict[str, Command] = {
     "demo": Command(
-        "agents.live.demo", "demo", "DemoArgs",
+        "agents.live.options:DemoArgs", "agents.live.demo:demo",
         "watch a policy follow a user: a page for the browser",
     ),
     "play": Command(
-        "agents.live.demo", "play", "PlayArgs",
+        "agents.live.options:PlayArgs", "agents.live.demo:play",
         "watch a training's newest policy, while it learns",
     ),
     "live": Command(
-        "agents.headset.command", "live", "LiveArgs",
+        "agents.headset.options:LiveArgs", "agents.headset.command:live",
         "put on a headset and be the avatar: a page for the headset's browser",
     ),
     "record": Command(
-        "agents.headset.command", "record", "RecordArgs",
+        "agents.headset.options:RecordArgs", "agents.headset.command:record",
         "like live, and write what the devices report to a file",
     ),
     "replay": Command(
-        "agents.follower.replay", "replay", "ReplayArgs",
+        "agents.follower.options:ReplayArgs", "agents.follower.replay:replay",
         "let the avatar follow a recording of a headset and controllers",
     ),
     "recordings show": Command(
-        "agents.follower.replay", "show_recording", "ShowRecordingArgs",
+        "agents.follower.options:ShowRecordingArgs", "agents.follower.replay:show_recording",
         "summarise a recording, and plot its signals and foot contacts",
     ),
     "motions import": Command(
-        "questsim.motion.motions_command", "import_motions", "ImportArgs",
+        "questsim.motion_options:ImportArgs", "questsim.motion.motions_command:import_motions",
         "read BVH, ASF/AMC, AMASS and DeepMimic files into a library of clips",
     ),
     "motions mapping": Command(
-        "questsim.motion.motions_command", "start_mapping", "MappingArgs",
+        "questsim.motion_options:MappingArgs", "questsim.motion.motions_command:start_mapping",
         "write a draft of a mapping file for a skeleton that is not recognised",
     ),
     "motions fetch": Command(
-        "questsim.motion.motions_command", "fetch_dataset", "FetchArgs",
+        "questsim.motion_options:FetchArgs", "questsim.motion.motions_command:fetch_dataset",
         "download a public dataset and verify every clip of it",
     ),
     "motions vary": Command(
-        "agents.commands.vary", "vary_motions", "VaryArgs",
+        "questsim.motion_options:VaryArgs", "agents.commands.vary:vary_motions",
         "write a library of variations of motions: other speeds, postures, stances, paths",
     ),
     "motions export": Command(
-        "questsim.exporting.command", "export_motions", "ExportMotionsArgs",
+        "questsim.motion_options:ExportMotionsArgs", "questsim.exporting.command:export_motions",
         "write motions as BVH, GLB, AMASS-style npz or CSV",
     ),
     "motions list": Command(
-        "questsim.motion.motions_command", "list_motions", "ListMotionsArgs",
+        "questsim.motion_options:ListMotionsArgs", "questsim.motion.motions_command:list_motions",
         "list the contents of a library, dataset, file or folder",
     ),
     "motions show": Command(
-        "questsim.viewing.show_command", "show_clip", "ShowArgs",
+        "questsim.motion_options:ShowArgs", "questsim.viewing.show_command:show_clip",
         "draw a clip: a contact sheet and a video",
     ),
     "train": Command(
-        "agents.commands.train", "", "TRAIN",
+        "agents.commands.modes:TRAIN", "",
         "train an agent, or resume a training",
     ),
     "average": Command(
-        "agents.policy.average", "average_policies", "AverageArgs",
+        "agents.policy.options:AverageArgs", "agents.policy.average:average_policies",
         "average the weights of policies that one training passed through",
     ),
     "sweep": Command(
-        "agents.sweep.command", "sweep", "SweepArgs",
+        "agents.sweep.options:SweepArgs", "agents.sweep.command:sweep",
         "train several seeds and values of a preset, and compare them with intervals",
     ),
     "evaluate": Command(
-        "agents.commands.evaluate", "", "EVALUATE",
+        "agents.commands.modes:EVALUATE", "",
         "evaluate an agent on clips",
     ),
     "compare-runs": Command(
-        "questsim.compare_runs_command", "compare_runs", "CompareRunsArgs",
+        "questsim.compare_runs_options:CompareRunsArgs",
+        "questsim.compare_runs_command:compare_runs",
         "compare two evaluations clip by clip: intervals, clips that changed sides",
     ),
     "estimate": Command(
-        "agents.kinematic.estimate_command", "estimate", "EstimateArgs",
+        "agents.kinematic.options:EstimateArgs", "agents.kinematic.estimate_command:estimate",
         "write a library of a kinematic system's estimates of motions",
     ),
     "envs": Command(
-        "envs.list_command", "list_environments", "ListEnvsArgs",
+        "envs.list_command:ListEnvsArgs", "envs.list_command:list_environments",
         "list the environments and their options",
     ),
     "export": Command(
-        "agents.policy.export", "export", "ExportArgs",
+        "agents.policy.options:ExportArgs", "agents.policy.export:export",
         "write a policy as an ONNX graph from simulator state to torques",
     ),
     "agents": Command(
-        "agents.shipping.catalogue", "list_agents", "AgentsArgs",
+        "agents.shipping.options:AgentsArgs", "agents.shipping.catalogue:list_agents",
         "list every agent and preset: sensors, size, licence, weights",
     ),
     "ablations": Command(
-        "agents.comparison.ablations", "ablations", "AblationsArgs",
+        "agents.comparison.options:AblationsArgs", "agents.comparison.ablations:ablations",
         "train a kinematic system and variants without one part each, and compare them",
     ),
     "ship": Command(
-        "agents.shipping.ship", "ship", "ShipArgs",
+        "agents.shipping.options:ShipArgs", "agents.shipping.ship:ship",
         "copy a trained policy to the shipped ones, with a card",
     ),
     "publish": Command(
-        "agents.shipping.publish", "publish", "PublishArgs",
+        "agents.shipping.options:PublishArgs", "agents.shipping.publish:publish",
         "upload an agent with card and licence to the Hugging Face Hub",
     ),
 }  # fmt: skip
+QUICK = ("motions fetch", "motions list", "motions mapping", "envs", "agents")
+"""Commands that load in about a second; the others say that they load something."""
 
 
 def guarded(function: Callable[[], object]) -> int:
@@ -236,9 +242,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     if family and words[1:] and words[1] in ("-h", "--help"):
         print("\n".join(f"questsim {name}: {COMMANDS[name].help}" for name in family))
         return 0
-    known = ", ".join(family or COMMANDS)
+    known = family or list(COMMANDS)
     asked = " ".join([words[0], *(word for word in words[1:2] if not word.startswith("-"))])
-    return _refuse(f"no command {asked!r}; there are: {known}; try: questsim --help")
+    near = did_you_mean(asked, known) or did_you_mean(words[0], known)
+    return _refuse(
+        f"no command {asked!r}; {near}there are: {', '.join(known)}; try: questsim --help"
+    )
 
 
 def _run_named(name: str, argv: Sequence[str]) -> int:
@@ -248,13 +257,11 @@ def _run_named(name: str, argv: Sequence[str]) -> int:
 
     def parse_and_run() -> object:
         load_extensions()
-        module = importlib.import_module(command.module)
-        if not command.function:
-            return getattr(module, command.args).run(argv, f"questsim {name}")
-        args = parse(
-            getattr(module, command.args), argv, f"questsim {name}", description=command.help
-        )
-        return getattr(module, command.function)(args)
+        options = imported(command.args)
+        if isinstance(options, Modes):
+            return options.run(argv, f"questsim {name}")
+        args = parse(options, argv, f"questsim {name}", description=command.help)
+        return imported(command.function, say=name not in QUICK)(args)
 
     return guarded(parse_and_run)
 

@@ -2,26 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated
-
-import tyro
 from rich.console import Console
 from rich.table import Table
 
+from questsim.compare_runs_options import CompareRunsArgs
 from questsim.evaluation_report import LABELS
 from questsim.statistics import Paired, paired
-
-
-@dataclass(frozen=True)
-class CompareRunsArgs:
-    """Compare two evaluations clip by clip."""
-
-    a: Annotated[Path, tyro.conf.Positional]
-    """A folder that evaluate.py --out wrote."""
-    b: Annotated[Path, tyro.conf.Positional]
-    """Another one, of the same motions."""
 
 
 def compare_runs(args: CompareRunsArgs) -> None:

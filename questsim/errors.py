@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
+import math
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +70,7 @@ def within(where: str, low: float, high: float, **values: float | None) -> None:
 
 
 def at_least(least: float, **options: float | None) -> None:
-    """Reject options of a command that are too small or not a number.
+    """Reject options of a command that are too small or not a finite number.
 
     Args:
         least: smallest allowed value.
@@ -77,5 +80,30 @@ def at_least(least: float, **options: float | None) -> None:
         InputError: with the name of the first option that is smaller.
     """
     for name, value in options.items():
-        if value is not None and not value >= least:  # NaN is not
+        if value is None:
+            continue
+        finite(f"--{name.replace('_', '-')}", value)
+        if value < least:
             raise InputError(f"is {value:g}, not at least {least:g}", f"--{name.replace('_', '-')}")
+
+
+def finite(where: str, value: float) -> None:
+    """Reject infinity and values that are not a number.
+
+    Raises:
+        InputError: the value is one of these.
+    """
+    if not math.isfinite(value):
+        raise InputError(f"is {value:g}, not a finite number", where)
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """``"did you mean walk? "`` if the name is like a known one, otherwise an empty string."""
+    near = difflib.get_close_matches(str(name), list(known), 1)
+    return f"did you mean {near[0]}? " if near else ""
+
+
+def one_of_these(name: object, known: Iterable[str]) -> str:
+    """How to correct an unknown name: the one that it is like, and all known ones."""
+    names = list(known)
+    return f"{did_you_mean(name, names)}use one of {', '.join(names)}"

@@ -1,7 +1,8 @@
-"""Packages whose public names are imported on first use."""
+"""Imports at first use: of a package's public names, and of a command's function."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
@@ -21,3 +22,16 @@ def imported_on_use(module: str, homes: Mapping[str, str]) -> Callable[[str], An
         return getattr(import_module(homes[name]), name)
 
     return get
+
+
+def imported(path: str, say: bool = False) -> Any:
+    """The object at ``"package.module:name"``.
+
+    Args:
+        path: where it is.
+        say: print one line to a terminal before an import that takes seconds, such as PyTorch's.
+    """
+    module, _, name = path.partition(":")
+    if say and module not in sys.modules and sys.stderr.isatty():
+        print("loading ...", file=sys.stderr, flush=True)
+    return getattr(import_module(module), name)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, is_dataclass
-from typing import Any, NamedTuple, get_args, get_type_hints
+from pathlib import Path
+from typing import NamedTuple, get_args, get_type_hints
 
 from questsim.errors import InputError
+from questsim.lazy import imported
 from questsim.parsing import parse
+from questsim.short_help import ALL, ShortHelp
 
 
 def one_of(names: Iterable[str]) -> str:
@@ -22,12 +26,15 @@ class Mode(NamedTuple):
     Attributes:
         name: the option that selects it, for messages, e.g. ``--compare``.
         args: the dataclass of its options.
-        function: runs the mode; the dataclass is its only argument.
+        function: ``"package.module:name"`` of the function that runs the mode; the dataclass is its
+            only argument. It is imported when the mode runs.
+        help: what ``--help`` prints; by default the explanation of every option.
     """
 
     name: str
     args: type
-    function: Callable[[Any], object]
+    function: str
+    help: ShortHelp | None = None
 
     def options(self) -> set[str]:
         """Its options as on the command line, e.g. ``--video`` and ``--no-video``."""
@@ -70,9 +77,14 @@ class Modes(NamedTuple):
             InputError: see ``chosen``; also errors of the mode itself.
         """
         mode, rest = self.chosen(words)
+        if mode.help is not None and {"-h", "--help"} & set(rest):
+            print(mode.help.text(prog or f"python {Path(sys.argv[0]).name}"))
+            return 0
+        rest = ["--help" if word == ALL else word for word in rest]
         others = "; ".join(other.name for other in self.modes if other is not mode)
         text = f"{(mode.args.__doc__ or '').strip()} For other options: {others}, each with --help."
-        return mode.function(parse(mode.args, rest, prog, text))
+        args = parse(mode.args, rest, prog, text)
+        return imported(mode.function, say=True)(args)
 
 
 def option_names(args: type, prefix: str = "--") -> set[str]:

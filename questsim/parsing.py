@@ -6,16 +6,19 @@ import io
 import re
 import sys
 from collections.abc import Sequence
-from contextlib import redirect_stderr
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from textwrap import dedent
 from typing import Any, TypeVar
 
-from questsim.errors import InputError
+from questsim.errors import InputError, finite
 
 T = TypeVar("T")
 
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+_MARKS = re.compile(r"\{None\}\||,? ?\(default: (None|False)?\)")
+"""Marks of options that are None, False or empty by default."""
 _RULE = re.compile(r"[╭╰].*|[─-]{3,}")
 """The edges of a box, and the lines between its parts."""
 _KINDS = {
@@ -49,16 +52,42 @@ def parse(
     import tyro
 
     words = sys.argv[1:] if words is None else list(words)
-    box = io.StringIO()
+    box, page = io.StringIO(), io.StringIO()
     options: dict[str, Any] = {"prog": prog, "description": description}
     try:
-        with redirect_stderr(box):
-            return tyro.cli(kind, args=words, **options)
+        with redirect_stderr(box), redirect_stdout(page):
+            found = tyro.cli(kind, args=words, **options)
     except SystemExit as end:
         if not end.code:
+            print(_plain(page.getvalue()), end="")
             raise
         command = prog or Path(sys.argv[0]).name
         raise _error(box.getvalue(), words, f"see {command} --help") from None
+    _check_finite(found)
+    return found
+
+
+def _check_finite(args: Any, prefix: str = "--") -> None:
+    """Refuse infinity and NaN in every option; no command has a use for them."""
+    for field in fields(args):
+        value = getattr(args, field.name)
+        option = prefix + field.name.replace("_", "-")
+        if is_dataclass(value):
+            _check_finite(value, f"{option}.")
+            continue
+        for number in value if isinstance(value, tuple | list) else (value,):
+            if isinstance(number, float):
+                finite(option, number)
+
+
+def _plain(page: str) -> str:
+    """A page of help without tyro's marks for options that may be left out."""
+    lines = []
+    for line in page.splitlines(keepends=True):
+        short = _MARKS.sub("", line)
+        edge = short.rfind("│") if short.rstrip().endswith("│") else len(short)
+        lines.append(short[:edge] + " " * (len(line) - len(short)) + short[edge:])
+    return "".join(lines)
 
 
 def _error(box: str, words: Sequence[str], fix: str) -> InputError:

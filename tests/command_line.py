@@ -21,7 +21,7 @@ _PROCESSES = multiprocessing.get_context("forkserver")
 _PROCESSES.set_forkserver_preload(
     [
         "agents.commands.evaluate",
-        "agents.commands.train",
+        "agents.training.train_policy",
         "agents.headset.command",
         "agents.live.demo",
         __name__,

@@ -16,14 +16,55 @@ def test_help_lists_every_command(capsys):
     assert all(f"questsim {name}" in out for name in cli.COMMANDS)
 
 
-def test_help_imports_neither_torch_nor_mujoco():
+def test_help_and_the_catalogue_import_neither_torch_nor_mujoco():
     code = """
 import sys
 from questsim.cli import main
 main(["--help"])
+main(["agents"])
 sys.exit(bool({"torch", "mujoco", "numpy"} & set(sys.modules)))
 """
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_options_of_every_command_come_without_what_takes_long_to_load():
+    code = """
+import sys
+from questsim.cli import COMMANDS
+from questsim.lazy import imported
+for command in COMMANDS.values():
+    imported(command.args)
+slow = {"torch", "numba", "scipy.spatial", "scipy.stats", "matplotlib", "viser"}
+sys.exit(", ".join(slow & set(sys.modules)) or 0)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_terminal_is_told_before_a_command_loads_what_takes_seconds(monkeypatch, capsys):
+    monkeypatch.delitem(sys.modules, "questsim.compare_runs_command", raising=False)
+    words = ["compare-runs", "nowhere", "elsewhere"]
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    assert cli.main(words) == 2
+    assert capsys.readouterr().err.startswith("loading ...\nerror: nowhere")
+    assert cli.main(words) == 2  # it is loaded now
+    assert capsys.readouterr().err.startswith("error: nowhere")
+
+
+@pytest.mark.parametrize("value", ["inf", "-inf", "nan"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        "train --out x --minutes", "train --out x --heights 1.5", "train --out x --pushes 0",
+        "train --agent lgsik --out x --minutes", "demo --seconds", "live --height",
+        "evaluate --unscaled",
+    ],
+)  # fmt: skip
+def test_a_number_that_is_not_finite_is_refused_for_every_option(words, value, capsys):
+    option = next(word for word in reversed(words.split()) if word.startswith("--"))
+    assert cli.main([*words.split(), value]) == 2
+    error = capsys.readouterr().err
+    assert "not a finite number" in error and option in error and error.count("\n") == 1
 
 
 def test_version_is_the_packages(capsys):

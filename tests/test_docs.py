@@ -6,7 +6,6 @@ import subprocess
 import sys
 import tomllib
 from dataclasses import fields
-from importlib import import_module
 from itertools import chain
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import pytest
 import yaml
 
 from questsim.cli import COMMANDS
+from questsim.lazy import imported
 from questsim.modes import Modes
 from questsim.viewing import gl
 
@@ -126,7 +126,7 @@ def test_commands_in_the_pages_have_the_options_that_are_given():
         if words[0] != "questsim" or not names:
             continue
         command = COMMANDS[names[0]]
-        args = getattr(import_module(command.module), command.args)
+        args = imported(command.args)
         if isinstance(args, Modes):
             mode, words = args.chosen(words[2:])
             args = mode.args

@@ -4,14 +4,14 @@ from itertools import product
 
 import pytest
 
-from agents.commands.evaluate import EVALUATE
-from agents.commands.train import TRAIN
+from agents.commands.modes import EVALUATE, TRAIN
 from agents.evaluation import EvaluateArgs, evaluate
 from agents.training.options import TrainArgs
 from agents.training.train_policy import train
 from questsim.cli import main, run_modes
 from questsim.errors import InputError
 from questsim.modes import Modes, option_names
+from questsim.parsing import parse
 
 COMMANDS = {
     "evaluate": (EVALUATE, {
@@ -81,9 +81,32 @@ def test_the_family_of_a_training_may_be_written_either_way(written):
 def test_every_mode_explains_itself_and_names_the_others(modes: Modes, capsys):
     for words in next(w for m, w in COMMANDS.values() if m is modes).values():
         with pytest.raises(SystemExit) as end:
-            modes.run([*words, "--help"])
+            modes.run([*words, "--help-all"])
         assert end.value.code == 0
         assert "For other options" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("modes", [EVALUATE, TRAIN])
+def test_the_first_page_of_help_has_every_option_once_and_fits_a_screen(modes: Modes, capsys):
+    assert modes.run(["--help"], "questsim x") == 0
+    page = capsys.readouterr().out
+    assert page.count("\n") < 45 and max(map(len, page.splitlines())) <= 88
+    mode = modes.modes[0]
+    assert mode.help is not None
+    on_page = mode.help.names()
+    options = {option.removeprefix("--").partition(".")[0] for option in mode.options()}
+    options = {name for name in options if not name.startswith("no-")} | {"agent"}
+    jobs = {other.name.removeprefix("--") for other in modes.modes[1:] if " " not in other.name}
+    assert sorted(name.removesuffix(".*") for name in on_page) == sorted(options | jobs)
+
+
+def test_the_examples_of_the_first_page_can_be_parsed():
+    for modes in (EVALUATE, TRAIN):
+        page = modes.modes[0].help
+        assert page is not None
+        for words, _ in page.examples:
+            mode, rest = modes.chosen(words.split())
+            parse(mode.args, rest)
 
 
 @pytest.mark.parametrize(

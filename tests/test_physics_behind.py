@@ -24,7 +24,8 @@ from agents.kinematic.physics_behind import (
     rollout_samples,
 )
 from agents.loading import load_agent
-from agents.shipping.catalogue import catalogue
+from agents.shipping.catalogue import catalogue, kept_families
+from agents.shipping.families import families
 from questsim.errors import InputError
 from questsim.motion.kinematics import clip_from_qpos
 from questsim.motion.library import save_library
@@ -164,3 +165,7 @@ def test_systems_that_are_there_are_listed_with_physics_behind_them():
 
 def entries_preset(entries) -> str:
     return next(preset for agent, preset in entries if agent == TRACKER)
+
+
+def test_the_kept_table_of_families_is_that_of_the_code():
+    assert kept_families() == families()  # else: python -m agents.shipping.families

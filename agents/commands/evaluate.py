@@ -29,7 +29,6 @@ from envs.terrain import terrain_named
 from questsim.errors import InputError, at_least
 from questsim.evaluation_report import check_writable
 from questsim.exporting.formats import check_format
-from questsim.modes import Mode, Modes
 from questsim.motion.clip import Clip
 
 _OF_PHYSICS = (
@@ -267,25 +266,3 @@ def evaluate_comparison(args: CompareArgs) -> int:
         for path in rewrite_cards(args.out / "comparison.json"):
             print(f"written to {path}")
     return code
-
-
-_BY_FLAG = {
-    "--worlds": Mode("--worlds", WorldsArgs, evaluate_worlds),
-    "--scorecard": Mode("--scorecard", ScorecardArgs, evaluate_scorecard),
-    "--by-group": Mode("--by-group", ByGroupArgs, evaluate_by_group),
-    "--compare": Mode("--compare", CompareArgs, evaluate_comparison),
-}
-_ONE_AGENT = Mode("--agent NAME", EvaluateArgs, evaluate)
-
-
-def _choose(words: Sequence[str]) -> tuple[Mode, list[str]]:
-    """The job whose flag is given; without a flag, the evaluation of one agent."""
-    flags = list(dict.fromkeys(word for word in words if word in _BY_FLAG))
-    if len(flags) > 1:
-        raise InputError(f"does not go with {flags[1]}", flags[0], "give one of them")
-    mode = _BY_FLAG[flags[0]] if flags else _ONE_AGENT
-    return mode, [word for word in words if word not in _BY_FLAG]
-
-
-EVALUATE = Modes((_ONE_AGENT, *_BY_FLAG.values()), _choose)
-"""The jobs of ``evaluate.py`` and ``questsim evaluate``."""

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
-import tyro
 from tqdm import tqdm
 
 from questsim.errors import INTERRUPTED, at_least
@@ -17,29 +14,10 @@ from questsim.motion.library import save_library
 from questsim.motion.motions_command import check_library_path
 from questsim.motion.spec import load_motions
 from questsim.motion.variation import SHORTEST_S, Tally, long_enough, variations
+from questsim.motion_options import VaryArgs
 
 PART = 8
 """Variations that a worker makes at a time."""
-
-
-@dataclass(frozen=True)
-class VaryArgs:
-    """Vary motions randomly in speed, posture, stance, path and arm movement."""
-
-    spec: tyro.conf.Positional[str]
-    """Motions to vary: a dataset (with :train), library, file, folder, or synthetic."""
-    out: Path
-    """The library to write, LIBRARY.npz."""
-    count: int = 1000
-    """How many variations."""
-    seed: int = 0
-    """Random seed; the same motions and seed give the same variations."""
-    first: int = 0
-    """Number of the first variation, to continue after an earlier library of this seed."""
-    workers: int = 0
-    """Ray workers that share the variations (docs/scaling.md); 0 for none."""
-    ray: str | None = None
-    """Address of a Ray cluster for --workers, by default one of this machine alone."""
 
 
 def vary_motions(args: VaryArgs) -> int:

@@ -12,16 +12,16 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
 
 import torch
 
 from agents.comparison.ablated import ablated
 from agents.comparison.ablation_report import Result, table, write
 from agents.comparison.compare import at_sensor_rate
+from agents.comparison.options import AblationsArgs
 from agents.comparison.report import Row
 from agents.kinematic.data import motions_record
 from agents.kinematic.scenario import Variant
@@ -44,42 +44,6 @@ FULL = "full"
 SCORES = "scores.json"
 """File with a variant's rows in its folder. A variant with this file is done."""
 MAY_DIFFER_ON_RESUME = {"resume", "out", "threads", "variants", "workers", "ray"}
-
-
-@dataclass(frozen=True)
-class AblationsArgs:
-    """Train a system, or QuestSim, and variants that lack one part each, and compare them."""
-
-    agent: str = ""
-    """A kinematic system with variants, or questsim for the torque policy."""
-    motions: str = "synthetic"
-    """Motions to learn: synthetic, a dataset (bandai-namco-2:train), a library, file or folder."""
-    test: str = "synthetic"
-    """Motions to reconstruct; must differ from the training motions."""
-    out: Path | None = None
-    """Folder of the table, with one subfolder per run."""
-    minutes: float | None = None
-    """Time for each training."""
-    steps: int | None = None
-    """Gradient steps of each stage of each training, instead of or in addition to --minutes."""
-    preset: Literal["cpu", "paper", "smoke"] = "cpu"
-    """Network sizes and training settings, as in train.py."""
-    variants: tuple[str, ...] = ()
-    """Run only these variants; by default all."""
-    max_clips: int | None = None
-    """Reconstruct at most this many motions, of all kinds."""
-    resume: bool = False
-    """Resume in --out; finished variants are skipped."""
-    threads: int = 2
-    """Threads for the networks."""
-    workers: int = 0
-    """Ray workers, each of which trains and scores one variant at a time; 0 for none."""
-    ray: str | None = None
-    """Address of a Ray cluster for --workers, by default one of this machine alone."""
-    seed: int = 0
-    """Seed of all random numbers, the same for all variants."""
-    set: tuple[str, ...] = ()
-    """Change values of the preset for all variants, e.g. stages.network.batch=16."""
 
 
 def ablations(args: AblationsArgs) -> int:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
 
+from agents.comparison.options import Start
 from agents.kinematic.device_faults import (
     DROPOUT_PER_S,
     DROPOUT_S,
@@ -19,8 +19,6 @@ from envs.config import EnvConfig
 from envs.randomisation import Randomisation
 from envs.starts import WHOLLY, Starts
 from questsim.motion.clip import FPS
-
-Start = Literal["estimate", "user", "standing"]
 
 
 def with_noise(config: EnvConfig, noise: Noise | None) -> EnvConfig:

@@ -1,16 +1,18 @@
-"""Options of the comparison."""
+"""Options of the comparison, and of ``questsim ablations``."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from typing_extensions import Doc
 
-from agents.comparison.conditions import Start
-from agents.kinematic.device_faults import Noise
+from agents.kinematic.options import Noise
 from agents.resolve import ANY_AGENT
+
+Start = Literal["estimate", "user", "standing"]
+"""States in which avatars with physics begin."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,3 +60,39 @@ class CompareArgs:
     """Address of a Ray cluster for --workers, by default one of this machine alone."""
     seed: int = 0
     """Seed of device faults and of the embedded motions."""
+
+
+@dataclass(frozen=True)
+class AblationsArgs:
+    """Train a system, or QuestSim, and variants that lack one part each, and compare them."""
+
+    agent: str = ""
+    """A kinematic system with variants, or questsim for the torque policy."""
+    motions: str = "synthetic"
+    """Motions to learn: synthetic, a dataset (bandai-namco-2:train), a library, file or folder."""
+    test: str = "synthetic"
+    """Motions to reconstruct; must differ from the training motions."""
+    out: Path | None = None
+    """Folder of the table, with one subfolder per run."""
+    minutes: float | None = None
+    """Time for each training."""
+    steps: int | None = None
+    """Gradient steps of each stage of each training, instead of or in addition to --minutes."""
+    preset: Literal["cpu", "paper", "smoke"] = "cpu"
+    """Network sizes and training settings, as in train.py."""
+    variants: tuple[str, ...] = ()
+    """Run only these variants; by default all."""
+    max_clips: int | None = None
+    """Reconstruct at most this many motions, of all kinds."""
+    resume: bool = False
+    """Resume in --out; finished variants are skipped."""
+    threads: int = 2
+    """Threads for the networks."""
+    workers: int = 0
+    """Ray workers, each of which trains and scores one variant at a time; 0 for none."""
+    ray: str | None = None
+    """Address of a Ray cluster for --workers, by default one of this machine alone."""
+    seed: int = 0
+    """Seed of all random numbers, the same for all variants."""
+    set: tuple[str, ...] = ()
+    """Change values of the preset for all variants, e.g. stages.network.batch=16."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 
+from agents.kinematic.options import Noise
 from questsim.joint_sensors import SENSOR_FPS, SensorSequence
 from questsim.sensors import DEVICES, SensorNoise
 
-Noise = Literal["white", "mounts", "latency", "dropouts", "all"]
 NOISES: tuple[Noise, ...] = get_args(Noise)
 
 NOISE_M, NOISE_RAD = 0.005, 0.02

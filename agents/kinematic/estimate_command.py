@@ -5,13 +5,14 @@ Use them to view the poses, to score them with other tools, or to train a policy
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from agents.kinematic.estimates import Job, at_sensor_rate, estimated, scenario_with
+from agents.kinematic.options import EstimateArgs
 from agents.kinematic.physics_behind import on_own_body
 from agents.kinematic.processes import processes
-from agents.resolve import DEFAULT_SYSTEM, resolve_system
+from agents.resolve import resolve_system
 from questsim.errors import at_least
 from questsim.motion.clip import Clip
 from questsim.motion.library import save_library
@@ -19,31 +20,6 @@ from questsim.motion.motion import Motion
 from questsim.motion.motions_command import check_library_path
 from questsim.motion.retarget import to_clip
 from questsim.motion.spec import load_recordings
-
-
-@dataclass(frozen=True)
-class EstimateArgs:
-    """Write a library of the motions that a kinematic system estimates from devices."""
-
-    out: Path
-    """The library to write, an .npz file."""
-    agent: str = DEFAULT_SYSTEM
-    """The system: a name, checkpoint folder or run folder."""
-    motions: str = "synthetic"
-    """Motions that the device signals are made from: synthetic, a dataset, a library, file or
-    folder."""
-    sensors: str | None = None
-    """Sensor set by name; by default the set of the system's first comparison scenario."""
-    max_clips: int | None = None
-    """Use only this many motions, of all kinds."""
-    threads: int = 2
-    """Number of parallel processes."""
-    workers: int = 0
-    """Ray workers that share the clips (docs/scaling.md); 0 for none."""
-    ray: str | None = None
-    """Address of a Ray cluster for --workers, by default one of this machine alone."""
-    seed: int = 0
-    """Seed of the embedded motions."""
 
 
 def estimate(args: EstimateArgs) -> None:

@@ -1,4 +1,4 @@
-"""Options of the training of kinematic systems."""
+"""Options of the training of kinematic systems, and of ``questsim estimate``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from agents.training.loggers import LogName
+from agents.resolve import DEFAULT_SYSTEM
+from agents.training.options import LogName
+
+Noise = Literal["white", "mounts", "latency", "dropouts", "all"]
+"""Kinds of faults of the devices."""
 
 
 @dataclass(frozen=True)
@@ -45,3 +49,28 @@ class TrainSystemArgs:
     """Styles, separated by commas, to hold out from training and compare checkpoints on."""
     set: tuple[str, ...] = ()
     """Change values of the preset, e.g. stages.network.batch=16."""
+
+
+@dataclass(frozen=True)
+class EstimateArgs:
+    """Write a library of the motions that a kinematic system estimates from devices."""
+
+    out: Path
+    """The library to write, an .npz file."""
+    agent: str = DEFAULT_SYSTEM
+    """The system: a name, checkpoint folder or run folder."""
+    motions: str = "synthetic"
+    """Motions that the device signals are made from: synthetic, a dataset, a library, file or
+    folder."""
+    sensors: str | None = None
+    """Sensor set by name; by default the set of the system's first comparison scenario."""
+    max_clips: int | None = None
+    """Use only this many motions, of all kinds."""
+    threads: int = 2
+    """Number of parallel processes."""
+    workers: int = 0
+    """Ray workers that share the clips (docs/scaling.md); 0 for none."""
+    ray: str | None = None
+    """Address of a Ray cluster for --workers, by default one of this machine alone."""
+    seed: int = 0
+    """Seed of the embedded motions."""

@@ -41,7 +41,7 @@ from agents.training.loggers import check_logger
 from agents.training.monitor import Display
 from agents.training.ray_session import ray_cluster
 from agents.training.stage import Budget, Stopper
-from questsim.errors import INTERRUPTED, InputError, at_least
+from questsim.errors import INTERRUPTED, InputError, at_least, one_of_these
 from questsim.motion.motion import Motion
 
 MAY_DIFFER_ON_RESUME = {
@@ -70,7 +70,7 @@ def train_system(args: TrainSystemArgs) -> int:
     at_least(0, minutes=args.minutes, seed=args.seed)
     cluster = _cluster(args)
     if args.agent not in AGENTS:
-        raise InputError(f"there is no {args.agent!r}", "--agent", f"use {', '.join(AGENTS)}")
+        raise InputError(f"there is no {args.agent!r}", "--agent", one_of_these(args.agent, AGENTS))
     entry = AGENTS[args.agent]
     config = entry.needed(with_overrides(entry.presets[args.preset], args.set))
     if args.resume:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from agents.live.drivers import Driver
+from agents.live.options import GROUNDS, NOTHING
 from agents.live.surroundings import (
-    NOTHING,
     config_of,
     in_own_size,
     needed_thing,
@@ -19,7 +19,6 @@ from agents.live.surroundings import (
 )
 from envs.core import BatchSim
 from envs.objects import OBJECTS, shapes_of
-from envs.terrain import COURSE, TERRAINS
 from questsim import rotations as rot
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
 from questsim.errors import InputError
@@ -30,9 +29,6 @@ from questsim.viewing.live import ROUGHNESS, SPEEDS, Choices, Scenery, Settings,
 
 AFTER_FALL_S, AFTER_END_S = 2.0, 0.7
 """Time in s between the end of an episode and the restart of the clip."""
-
-GROUNDS = tuple(name for name, terrain in TERRAINS.items() if terrain.kind != COURSE)
-"""A course's tiles are smaller than many clips' paths."""
 
 SEEN_M = 14.0
 """Distance in m around the clip's path within which the ground is shown."""

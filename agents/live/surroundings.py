@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from agents.live.drivers import Driver
+from agents.live.options import NOTHING
 from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.objects import WorldObject
@@ -15,8 +16,6 @@ from questsim.heightfield import HeightField
 from questsim.motion.clip import Clip
 from questsim.motion.synthesis.synthetic import SEATED
 from questsim.viewing.live import Settings
-
-NOTHING = "none"
 
 
 def config_of(driver: Driver, settings: Settings) -> EnvConfig:

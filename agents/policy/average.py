@@ -7,14 +7,13 @@ and Better Generalization", UAI 2018).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import torch
-import tyro
 
 from agents.policy.checkpoint import CARD_FILE, find_policy, load_policy, save_policy
+from agents.policy.options import AverageArgs
 from agents.policy.policy_agent import PolicyAgent
 from questsim.errors import InputError
 
@@ -24,16 +23,6 @@ AVERAGED = "average_of_steps"
 """Key of the training record: the steps after which the averaged policies were saved."""
 _OF_EACH = ("steps", "minutes", "evaluation")
 """Keys of the training record in which policies of one training differ."""
-
-
-@dataclass
-class AverageArgs:
-    """Options of ``questsim average``."""
-
-    policies: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Policy folders of one training, or a stage folder: all of its kept policies but the first,
-    from which the training began (--set stages.student.keep_checkpoints=true keeps them)."""
-    out: Annotated[Path, tyro.conf.arg(help="The averaged policy's folder.")]
 
 
 def average_policies(args: AverageArgs) -> int:

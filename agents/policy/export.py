@@ -7,10 +7,9 @@ import importlib.util
 import io
 import logging
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -20,6 +19,7 @@ from agents.licence import licence_of
 from agents.policy.checkpoint import find_policy, load_policy
 from agents.policy.networks import TorquePolicy, with_head
 from agents.policy.observation_module import SparseObservation
+from agents.policy.options import ExportArgs
 from agents.policy.policy_agent import PolicyAgent
 from agents.policy.spec import SPARSE_BLOCKS
 from envs.config import EnvConfig
@@ -34,18 +34,6 @@ from questsim.skeleton import DOFS, FEET, LINKS
 FORMAT, FORMAT_VERSION = "questsim-onnx", 1
 OPSET = 20
 NEEDED_PACKAGES = ("onnx", "onnxscript")
-
-
-@dataclass(frozen=True)
-class ExportArgs:
-    """Write a policy as one ONNX graph for other runtimes."""
-
-    agent: str
-    """A policy: a run or checkpoint folder, or a shipped name."""
-    out: Path
-    """File to write."""
-    format: Literal["onnx"] = "onnx"
-    """Format of the file."""
 
 
 class TorqueController(nn.Module):

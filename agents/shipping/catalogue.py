@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import math
+import sys
+from pathlib import Path
 from typing import Any
 
-from agents.kinematic.ik import DEVICES as IK_DEVICES
-from agents.kinematic.registry import AGENTS
-from agents.kinematic.store import CARD_FILE, read_system_card
 from agents.licence import OURS, licence_of, strictest
-from agents.policy.checkpoint import load_policy, read_card
-from agents.resolve import ESTIMATE_TRACKER, IK, SHIPPED, shipped_policies, with_physics
+from agents.resolve import (
+    ESTIMATE_TRACKER,
+    SHIPPED,
+    SYSTEM_CARD,
+    UNTRAINED,
+    resolve,
+    shipped_policies,
+    with_physics,
+)
+from agents.shipping.options import AgentsArgs
 
 KEYS = ("agent", "preset", "title", "sensors", "parameters", "licence", "weights")
-
-
-@dataclass(frozen=True)
-class AgentsArgs:
-    """List every agent and preset."""
-
-    json: bool = False
-    """Print JSON, for programs."""
+_REGISTRY = "agents.kinematic.registry"
+_STATISTICS = (".norm.mean", ".norm.var", ".norm.count")
+"""Ends of the names of a policy's tensors that are not trained."""
 
 
 def catalogue() -> list[dict[str, Any]]:
@@ -30,81 +32,72 @@ def catalogue() -> list[dict[str, Any]]:
     ``sensors`` are the sets of devices that it can use, or ``reference`` if it observes the whole
     body of a reference motion instead. ``parameters`` counts trainable parameters. ``licence`` is
     that of the weights, or of the code if there are no weights. ``weights`` says whether weights
-    are shipped.
+    are shipped. Everything is read from descriptions; no network is built or loaded.
     """
     shipped = [
-        (folder.parent, read_system_card(folder.parent))
-        for folder in sorted(SHIPPED.glob(f"*/{CARD_FILE}"))
+        (folder.parent.name, resolve(folder.parent).card)
+        for folder in sorted(SHIPPED.glob(f"*/{SYSTEM_CARD}"))
     ]
     entries = []
-    for name, agent in AGENTS.items():
-        for preset, config in agent.presets.items():
-            there = [
-                (folder.name, card)
-                for folder, card in shipped
-                if card["agent"] == name and card["training"].get("preset") == preset
-            ]
-            module = agent.build(config.spec)
-            own = [card for folder, card in there if folder == name]
-            entry = {
-                "agent": name,
-                "preset": preset,
-                "title": agent.title,
-                "sensors": list(agent.sensors),
-                "parameters": sum(p.numel() for p in module.parameters()),
-                "licence": licence_of(own[0]["training"]) if own else OURS,
-                "weights": bool(own),
-            }
-            entries.append(entry)
-            # Weights of the same system under another name, e.g. trained with another loss.
-            entries += [
-                {
-                    **entry,
-                    "agent": folder,
-                    "licence": licence_of(card["training"]),
-                    "weights": True,
-                }
-                for folder, card in there
-                if folder != name
-            ]
-    entries.append(
-        {
-            "agent": IK,
-            "preset": "-",
-            "title": f"inverse kinematics (mink) of {len(IK_DEVICES)} trackers",
-            "sensors": ["6T"],
-            "parameters": 0,
-            "licence": OURS,
-            "weights": False,
-        }
-    )
+    for family in _families():
+        there = [
+            (name, card)
+            for name, card in shipped
+            if card["agent"] == family["agent"]
+            and card["training"].get("preset") == family["preset"]
+        ]
+        own = [card for name, card in there if name == family["agent"]]
+        licence = licence_of(own[0]["training"]) if own else OURS
+        entries.append(family | {"licence": licence, "weights": bool(own)})
+        # Weights of the same system under another name, e.g. trained with another loss.
+        entries += [
+            family | {"agent": name, "licence": licence_of(card["training"]), "weights": True}
+            for name, card in there
+            if name != family["agent"]
+        ]
     return [*entries, *_with_physics(entries), *_policies()]
+
+
+def kept_families() -> list[dict[str, Any]]:
+    """Families and presets of this project; see ``agents.shipping.families``."""
+    return json.loads((Path(__file__).parent / "families.json").read_text(encoding="utf-8"))
+
+
+def _families() -> list[dict[str, Any]]:
+    """Families and presets from the file, or counted anew if an extension has added a family."""
+    kept = kept_families()
+    registry = sys.modules.get(_REGISTRY)
+    if registry is None or set(registry.AGENTS) <= {entry["agent"] for entry in kept}:
+        return kept
+    # Imported here: this loads PyTorch and all systems.
+    from agents.shipping.families import families
+
+    return families()
 
 
 def _with_physics(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Kinematic systems that can run with the tracker behind them."""
-    tracker = load_policy(SHIPPED / ESTIMATE_TRACKER)
-    behind = sum(p.numel() for p in tracker.policy.parameters())
-    licence = licence_of(tracker.card["training"])
+    tracker = resolve(ESTIMATE_TRACKER)
+    behind = _parameters(SHIPPED / ESTIMATE_TRACKER)
     return [
         {
             **entry,
             "agent": with_physics([entry["agent"]])[0],
             "title": f"{entry['title']}, followed by the tracker's torques",
             "parameters": entry["parameters"] + behind,
-            "licence": strictest([entry["licence"], licence]),
+            "licence": strictest([entry["licence"], licence_of(tracker.training)]),
             "weights": True,
         }
         for entry in entries
-        if entry["weights"] or not entry["parameters"]
+        if entry["weights"] or entry["agent"] in UNTRAINED
     ]
 
 
 def _policies() -> list[dict[str, Any]]:
     entries = []
     for name in shipped_policies():
-        card, policy = read_card(SHIPPED / name), load_policy(SHIPPED / name).policy
-        follows_reference = "privileged" in policy.spec.actor_blocks
+        card = resolve(SHIPPED / name).card
+        follows_reference = "privileged" in card["network"]["actor_blocks"]
         entries.append(
             {
                 "agent": name,
@@ -113,12 +106,24 @@ def _policies() -> list[dict[str, Any]]:
                 if follows_reference
                 else "torque policy",
                 "sensors": ["reference" if follows_reference else card["needs"]["sensors"]],
-                "parameters": sum(p.numel() for p in policy.parameters()),
+                "parameters": _parameters(SHIPPED / name),
                 "licence": licence_of(card["training"]),
                 "weights": True,
             }
         )
     return entries
+
+
+def _parameters(folder: Path) -> int:
+    """Trained numbers of a policy, from the shapes in the first bytes of its weights."""
+    with (folder / "policy.safetensors").open("rb") as file:
+        length = int.from_bytes(file.read(8), "little")
+        tensors = json.loads(file.read(length))
+    return sum(
+        math.prod(tensor["shape"])
+        for name, tensor in tensors.items()
+        if name != "__metadata__" and not name.endswith(_STATISTICS)
+    )
 
 
 def list_agents(args: AgentsArgs) -> None:

@@ -5,34 +5,18 @@ from __future__ import annotations
 import re
 import shutil
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
-
-import tyro
+from typing import Any
 
 from agents.hub import FILES, hub, plain_errors, split_name
 from agents.licence import UNKNOWN, licence_of
 from agents.resolve import Resolved, resolve
+from agents.shipping.options import PublishArgs
 from agents.shipping.ship import MODEL_CARD, ShipArgs, pack
 from questsim.errors import InputError
 
 HUB_LICENCES = {"MIT": "mit", "CC-BY-NC-4.0": "cc-by-nc-4.0"}
 """Licence names of the Hub; it takes any other licence as ``other`` with a name."""
-
-
-@dataclass(frozen=True)
-class PublishArgs:
-    """Upload an agent to the Hugging Face Hub; others then use it by the name hf:USER/REPO."""
-
-    name: Annotated[str, tyro.conf.Positional]
-    """A shipped policy or kinematic system, or a run, stage or checkpoint folder."""
-    to: Annotated[str, tyro.conf.Positional]
-    """hf:USER/REPO; the repository is created if needed."""
-    metrics: tuple[Path, ...] = ()
-    """Evaluation reports for the card of a run, as for questsim ship."""
-    private: bool = False
-    """Create a private repository."""
 
 
 def publish(args: PublishArgs) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +19,9 @@ from agents.policy.checkpoint import (
     WEIGHTS_FILE,
     load_policy,
 )
-from agents.resolve import BASELINES, SHIPPED, UNTRAINED, resolve
+from agents.resolve import BASELINES, UNTRAINED, resolve
 from agents.shipping.model_card import model_card, read_metrics
+from agents.shipping.options import ShipArgs
 from agents.shipping.provenance import portable, provenance
 from agents.shipping.system_card import comparison_lines, system_card, system_provenance
 from questsim.errors import InputError
@@ -32,21 +32,6 @@ MAX_BYTES = 10_000_000
 
 RESERVED = (*BASELINES, *UNTRAINED)
 """Names of agents without weights."""
-
-
-@dataclass(frozen=True)
-class ShipArgs:
-    """Copy a run's best policy or kinematic system to the shipped ones and write its card."""
-
-    run: Path
-    """A run folder, a stage of it, or a checkpoint folder inside it."""
-    name: str
-    """Shipped name, e.g. for evaluate --agent NAME."""
-    metrics: tuple[Path, ...] = ()
-    """Evaluation reports in the order of the card: metrics.json of a policy, comparison.json of a
-    kinematic system."""
-    into: Path = SHIPPED
-    """Folder of the shipped policies."""
 
 
 def ship(args: ShipArgs) -> int:

@@ -7,14 +7,13 @@ import os
 import secrets
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from stable_baselines3.common.logger import HParam, KVWriter, Logger, make_output_format
 
+from agents.training.options import LogName
 from questsim.errors import InputError
 
-LogName = Literal["tensorboard", "wandb", "trackio", "csv"]
-"""Where curves go beside the CSV file; ``csv`` for nowhere else."""
 PROJECT = "questsim"
 """Project of the runs in Weights & Biases and trackio; the libraries' own settings change it."""
 _RUN_ID = "wandb-id.txt"

@@ -8,13 +8,14 @@ from typing import Annotated, Literal
 
 from typing_extensions import Doc
 
-from agents.training.loggers import LogName
 from envs.objects import OBJECTS
 from envs.randomisation import Randomisation
 from envs.starts import Starts
 from envs.terrain import TERRAINS
 from questsim.modes import one_of
 
+LogName = Literal["tensorboard", "wandb", "trackio", "csv"]
+"""Where curves go beside the CSV file; ``csv`` for nowhere else."""
 Pick = Literal["cpu", "paper", "smoke"]
 """Names of presets."""
 

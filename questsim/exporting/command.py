@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
-
-import tyro
 
 from questsim.errors import InputError
 from questsim.evaluation_report import check_writable
@@ -15,25 +12,9 @@ from questsim.exporting import write_clip, write_motion
 from questsim.exporting.formats import SKELETONS, check_format, file_names
 from questsim.motion.clip import Clip
 from questsim.motion.motion import Motion
+from questsim.motion_options import ExportMotionsArgs
 
 T = TypeVar("T", Clip, Motion)
-
-
-@dataclass(frozen=True)
-class ExportMotionsArgs:
-    """Write motions for other programs, one file per motion."""
-
-    spec: tyro.conf.Positional[str]
-    """A dataset (with :train or :test), library, file, folder, or synthetic."""
-    out: Path
-    """The folder for the files."""
-    format: str = "bvh"
-    """bvh, glb, npz (as AMASS) or csv."""
-    skeleton: str | None = None
-    """Skeleton of BVH files: joints (the 22 joints as recorded) or avatar (the 16 links of the
-    retargeted clip). GLB and CSV always contain the avatar, npz the joints."""
-    seed: int = 0
-    """Seed of the embedded motions."""
 
 
 def export_motions(args: ExportMotionsArgs) -> None:

@@ -7,10 +7,8 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
-import tyro
 
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
@@ -24,70 +22,9 @@ from questsim.motion.reading import ReadOptions, explain, read_recording
 from questsim.motion.skeletons import write_mapping
 from questsim.motion.sources import KINDS, motion_files
 from questsim.motion.spec import load_motions
+from questsim.motion_options import FetchArgs, ImportArgs, ListMotionsArgs, MappingArgs
 
 MAX_REPORTS = 20
-
-
-@dataclass
-class ImportArgs:
-    """Read motion files, check them, retarget them to the avatar, write a library."""
-
-    paths: tyro.conf.Positional[tuple[str, ...]]
-    """BVH, ASF/AMC, DeepMimic or AMASS .npz files, libraries, or folders or zips of these."""
-    out: str
-    """The library to write, LIBRARY.npz."""
-    units: Literal["m", "cm", "mm", "inch", "cmu", "dm"] | None = None
-    """Units of the files; detected if not given (cmu: inches times 0.45)."""
-    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
-    """Up axis of the files; detected if not given."""
-    fps: float | None = None
-    """True frame rate; that of the files if not given."""
-    mapping: str | None = None
-    """A mapping file (TOML) for a skeleton that is not recognised."""
-    height: float | None = None
-    """The subject's height in metres, to which the skeleton is scaled."""
-    smpl: str | None = None
-    """A SMPL model (.npz) that gives AMASS files the subject's own skeleton."""
-    licence: str = ""
-    """Licence of the files, kept in the library."""
-    mirrored: bool = False
-    """Add a mirrored copy of each motion."""
-    accept: bool = False
-    """Accept files that fail the physical checks."""
-    strict: bool = False
-    """Write no library if any file cannot be used; by default such files are skipped and named."""
-    explain: bool = False
-    """Print the assignment of the file's joints, with reasons."""
-
-
-@dataclass
-class MappingArgs:
-    """Write a mapping file with the joints that are recognised; fill in and correct the rest."""
-
-    path: tyro.conf.Positional[str]
-    """A motion file of the skeleton."""
-    out: str
-    """The mapping file to write, RIG.toml."""
-
-
-@dataclass
-class FetchArgs:
-    """Download a public dataset and verify every clip of it."""
-
-    name: tyro.conf.Positional[str]
-    """The dataset, e.g. bandai-namco-2."""
-    mirror: str | None = None
-    """A zip file or URL with the same layout as the public archive, to use instead of it."""
-
-
-@dataclass
-class ListMotionsArgs:
-    """List the contents of a motion argument."""
-
-    spec: tyro.conf.Positional[str]
-    """A dataset (with :train or :test), library, file, folder, or synthetic."""
-    clips: Annotated[bool, tyro.conf.arg(aliases=["-c"])] = False
-    """List each clip."""
 
 
 def import_motions(args: ImportArgs) -> None:

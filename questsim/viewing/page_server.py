@@ -22,10 +22,8 @@ import viser
 from viser import _messages as viser_messages
 
 from questsim.errors import InputError
-from questsim.viewing.page_access import Access, checking, is_loopback
+from questsim.viewing.page_access import LOOPBACK, Access, checking, is_loopback
 
-LOOPBACK = "127.0.0.1"
-DEFAULT_PORT = 8080
 _ACCESS: WeakKeyDictionary[viser.ViserServer, Access] = WeakKeyDictionary()
 """Who may use each server."""
 

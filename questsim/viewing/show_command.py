@@ -4,41 +4,16 @@ from __future__ import annotations
 
 import re
 import sys
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from questsim.errors import InputError, at_least
 from questsim.motion.clip import FPS, Clip
+from questsim.motion_options import ShowArgs
 from questsim.viewing.films import clip_frames, rollout_video
 from questsim.viewing.gl import find_gl, missing_gl
 from questsim.viewing.video import write_video
 
 __all__ = ["ShowArgs", "rollout_video", "show_clip"]
-
-
-@dataclass(frozen=True)
-class ShowArgs:
-    """Draw a clip: a contact sheet PNG, one of its feet close up, and an MP4."""
-
-    clip: Annotated[str, tyro.conf.Positional]
-    """A clip's name in --motions, or a library, BVH or npz file."""
-    motions: str = "synthetic"
-    """Where to look the name up: synthetic, a dataset, a library file or a folder."""
-    out: Path = Path("shown")
-    """The folder for the PNG and the MP4."""
-    video: bool = True
-    """Whether to make the MP4."""
-    columns: int = 8
-    """Pictures in a row of the contact sheet."""
-    width: int = 640
-    """Width of the video in pixels."""
-    height: int = 480
-    """Height of the video in pixels."""
-    stride: int = 1
-    """Film every n-th frame; the video keeps its speed."""
 
 
 def show_clip(args: ShowArgs) -> None:
