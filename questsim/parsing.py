@@ -82,12 +82,7 @@ def _check_finite(args: Any, prefix: str = "--") -> None:
 
 def _plain(page: str) -> str:
     """A page of help without tyro's marks for options that may be left out."""
-    lines = []
-    for line in page.splitlines(keepends=True):
-        short = _MARKS.sub("", line)
-        edge = short.rfind("│") if short.rstrip().endswith("│") else len(short)
-        lines.append(short[:edge] + " " * (len(line) - len(short)) + short[edge:])
-    return "".join(lines)
+    return "".join(_MARKS.sub("", line).rstrip() + "\n" for line in page.splitlines())
 
 
 def _error(box: str, words: Sequence[str], fix: str) -> InputError:
