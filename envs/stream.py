@@ -110,13 +110,17 @@ class StreamSim(BatchSim):
                 rows[:-1] = rows[1:].copy()
                 rows[self.newest_row :] = newest
 
-    def shown_devices(self) -> tuple[np.ndarray, np.ndarray]:
-        """Device poses of the avatar's present frame: ``(D, 3)`` in the world, ``(D, 4)``."""
-        position = self.reference.dev_position[NOW].astype(float) * (
+    def shown_devices(self, row: int = NOW) -> tuple[np.ndarray, np.ndarray]:
+        """Device poses of a frame of the window: ``(D, 3)`` in the world, ``(D, 4)``.
+
+        Args:
+            row: of the window; the avatar's present before a step. After it, that is ``NOW + 1``.
+        """
+        position = self.reference.dev_position[row].astype(float) * (
             self.height_m / DEFAULT_HEIGHT_M
         )
         position[:, 2] += self.floor[0]
-        return position, self.reference.dev_quat[NOW].astype(float)
+        return position, self.reference.dev_quat[row].astype(float)
 
     def show_pose(
         self, clip: Clip, row: int, torque: np.ndarray | None, fill: bool = False

@@ -57,6 +57,15 @@ def link_errors(poses, span):
     return np.array(errors)
 
 
+def shifted(frame, metres):
+    """A frame whose devices are further to the left."""
+    poses = {
+        name: DevicePose(pose.position + [0.0, metres, 0.0], pose.quat)
+        for name, pose in frame.poses.items()
+    }
+    return DeviceFrame(frame.time_s, poses)
+
+
 def cut(frames, first_s, last_s):
     """The frames of a part of a stream."""
     return [frame for frame in frames if first_s <= frame.time_s < last_s]
@@ -217,7 +226,7 @@ def test_headset_alone_lets_the_arms_hang(follower):
 
 def test_an_avatar_that_fell_is_set_up_again_within_a_second():
     follower = Follower("zero", height_m=1.75, objects=objects_named(["ball", "box"]))
-    frames, _ = stream(USER, [], 72.0)
+    frames = [shifted(frame, 2.0 * frame.time_s) for frame in stream(USER, [], 72.0)[0]]
     poses = followed(follower, frames)
     # The objects are a metre before the user, who looks along x, and apart from each other.
     before = np.array([[1.0, -0.5], [1.0, 0.5]])
@@ -230,6 +239,13 @@ def test_an_avatar_that_fell_is_set_up_again_within_a_second():
     low = [pose.time_s for pose, z in zip(poses, heads, strict=True) if z < 0.9]
     assert max(np.diff([low[0], *falls]).max(), falls[0] - low[0]) < 3.0
     assert falls[0] - low[0] < 1.0
+    # It is set up where the moving user was at that time, not a frame before.
+    times = [frame.time_s for frame in frames]
+    for pose in poses:
+        if pose.time_s in falls:
+            own, _ = device_poses(pose.link_position, pose.link_quat, ["headset"], 1.75)
+            walked = [frame.poses["headset"].position[1] for frame in frames]
+            assert own[0, 1] == pytest.approx(np.interp(pose.time_s, times, walked), abs=0.02)
 
 
 def test_the_assist_holds_a_limp_avatar_up_for_longer_and_stays_within_its_bound():

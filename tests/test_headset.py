@@ -334,6 +334,9 @@ def test_session_measures_the_user_for_three_seconds_and_then_follows(walk):
 
 def test_session_publishes_the_poses_of_a_replay(walk):
     frames = [f for f in walk.frames if f.time_s < walk.frames[0].time_s + 4.5]
+    pulled = frames[-9]
+    poses = {name: pose for name, pose in pulled.poses.items() if name != "left_controller"}
+    frames[-9] = DeviceFrame(pulled.time_s, poses)
     said = []
     with LiveSession(Follower("questsim-now"), said.append) as session:
         session.begin()
@@ -348,6 +351,8 @@ def test_session_publishes_the_poses_of_a_replay(walk):
     for state, pose in zip(shown, replayed(follower, rest), strict=True):
         position, _ = from_ours(pose.link_position, pose.link_quat, "openxr")
         assert np.reshape(state["p"], (16, 3)) == pytest.approx(position, abs=1e-4)
+    assert [s["seen"] for s in shown if s["silent"]] == [pytest.approx(pulled.time_s, abs=1e-4)]
+    assert shown[-9]["silent"] == ["left_controller"]
 
 
 @pytest.mark.parametrize("known, state", [(Calibration(1.7), FOLLOWING), (None, CALIBRATING)])

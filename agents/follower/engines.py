@@ -32,7 +32,7 @@ from envs.assist import Assist, checked_bound, headsets
 from envs.config import EnvConfig
 from envs.layout import observation_layout
 from envs.objects import WorldObject
-from envs.stream import AHEAD, StreamSim
+from envs.stream import AHEAD, NOW, StreamSim
 from envs.terrain import Terrain, height_field
 from questsim.body import DEFAULT_HEIGHT_M, build_body
 from questsim.errors import InputError
@@ -223,7 +223,7 @@ class TorqueEngine(SimulatedEngine):
 
     def user_devices(self) -> tuple[np.ndarray, np.ndarray]:
         """See ``Engine``; over level ground."""
-        position, quat = self._sim.shown_devices()
+        position, quat = self._sim.shown_devices(NOW + 1)
         position[:, 2] -= self._sim.floor[0]
         return position, quat
 
@@ -351,8 +351,8 @@ class PhysicsEngine(SimulatedEngine):
         self._start, self._blend = qpos.copy(), BEGINNING_FRAMES
 
     def user_devices(self) -> tuple[np.ndarray, np.ndarray]:
-        """See ``Engine``."""
-        return self._users[0]
+        """See ``Engine``; the step has used the first of the kept ones."""
+        return self._users[1]
 
     def feed(
         self, time_s: float, position: np.ndarray, quat: np.ndarray, present: np.ndarray

@@ -238,6 +238,7 @@ class LiveSession:
             "assist": rounded(assist, 1),
             "objects": rounded(np.concatenate(objects, axis=-1)),
             "error_cm": self._error_cm(frame, pose),
+            "silent": [name for name in self._follower.names if name not in frame.poses],
             "step_ms": round(1000.0 * (time.monotonic() - received_s), 1),
             "dropped": self.dropped,
             "events": list(pose.events),

@@ -112,6 +112,8 @@ function showPose(pose) {
     `device error ${pose.error_cm === null ? "-" : pose.error_cm.toFixed(1)} cm`,
     `server time ${pose.step_ms.toFixed(1)} ms`,
     `assist ${newtons.toFixed(0)} N`,
+    // A device that does not report, by its name.
+    ...pose.silent.map((name) => `no signal: ${name.replaceAll("_", " ")}`),
   ].join("\n");
   window.lastPose = pose; // read by tests
   if (pose.events.length) {
