@@ -53,23 +53,21 @@ class StreamSim(BatchSim):
         """The avatar's stature."""
         return float(self.heights[0])
 
-    def put(self, qpos: np.ndarray, velocity: np.ndarray | None = None) -> None:
+    def put(self, qpos: np.ndarray, qvel: np.ndarray | None = None) -> None:
         """Set the avatar's pose, given above level ground; the terrain lifts it.
 
         Objects are placed before the first pose, and stay where they are in later ones.
 
         Args:
             qpos: ``(40,)``.
-            velocity: ``(3,)`` of the whole body in m/s; at rest if None.
+            qvel: ``(39,)``; at rest if None.
         """
         before = None if self._objects_anew else self.objects.pose.copy()
         self.reset()
         # The user's coordinates are the world's, so the clip is not moved to a place.
         self.placement.place[:] = 0.0, 0.0, 1.0, 0.0
         self.qpos[0, :_POSITIONS] = qpos
-        self.qvel[0, :_VELOCITIES] = 0.0
-        if velocity is not None:
-            self.qvel[0, :3] = velocity
+        self.qvel[0, :_VELOCITIES] = 0.0 if qvel is None else qvel
         self._put_objects(before)
         if self.placement.field is not None:
             self.batch.forward(stage=int(mujoco.mjtStage.mjSTAGE_POS.value))

@@ -12,6 +12,7 @@ from agents.evaluation.follow import evaluation_sim
 from agents.evaluation.rollout import env_config, roll_out
 from agents.follower import Calibration, Follower, calibrate
 from agents.follower.bridge import Bridge
+from agents.follower.moving import MovingUser
 from agents.follower.stance import estimated_pose
 from agents.loading import load_agent
 from envs.assist import Assist, headsets
@@ -20,6 +21,7 @@ from envs.objects import objects_named
 from questsim import rotations as rot
 from questsim.devices import DeviceFrame, DevicePose
 from questsim.errors import InputError
+from questsim.motion.clip import FPS
 from questsim.motion.kinematics import link_poses, standing_clip
 from questsim.motion.synthesis.synthetic import synthetic_clips
 from questsim.sensors import SENSOR_SETS, device_poses
@@ -60,7 +62,7 @@ def link_errors(poses, span):
 def shifted(frame, metres):
     """A frame whose devices are further to the left."""
     poses = {
-        name: DevicePose(pose.position + [0.0, metres, 0.0], pose.quat)
+        name: DevicePose(pose.position + np.array([0.0, metres, 0.0]), pose.quat)
         for name, pose in frame.poses.items()
     }
     return DeviceFrame(frame.time_s, poses)
@@ -246,6 +248,26 @@ def test_an_avatar_that_fell_is_set_up_again_within_a_second():
             own, _ = device_poses(pose.link_position, pose.link_quat, ["headset"], 1.75)
             walked = [frame.poses["headset"].position[1] for frame in frames]
             assert own[0, 1] == pytest.approx(np.interp(pose.time_s, times, walked), abs=0.02)
+
+
+def test_the_state_of_a_walking_user_is_estimated_and_that_of_a_standing_one_is_not():
+    names, late = SENSOR_SETS["H+2C"], 5  # frames between the avatar's present and the newest one
+    user, alone = MovingUser(names, 1.75, late / FPS), MovingUser(("headset",), 1.75, 0.0)
+    at, turned = device_poses(WALK.link_position, WALK.link_quat, names, 1.75)
+    begun = next(t for t in range(len(WALK)) if at[t, 0, 0] - at[0, 0, 0] > 0.5)
+    for position, quat in zip(at[: begun + 40], turned[: begun + 40], strict=True):
+        user.show(position, quat)
+        alone.show(position[:1], quat[:1])
+    qpos, qvel = user.state()
+    links, _ = link_poses(qpos[None], 1.75)
+    truth = begun + 39 - late
+    assert np.linalg.norm(links[0] - WALK.link_position[truth], axis=-1).mean() < 0.07
+    assert qvel[:2] == pytest.approx(WALK.qvel[truth, :2], abs=0.15)
+    assert np.linalg.norm(WALK.qvel[truth, :2]) > 0.8
+    assert alone.state() is None  # the estimator needs the controllers
+    for _ in range(18):
+        user.show(at[0], turned[0])
+    assert user.state() is None
 
 
 def test_the_assist_holds_a_limp_avatar_up_for_longer_and_stays_within_its_bound():

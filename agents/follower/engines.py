@@ -14,6 +14,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from agents.agent import Agent
+from agents.follower.moving import MovingUser
 from agents.follower.scene import PLAIN, Scene
 from agents.follower.states import (
     NO_OBJECTS,
@@ -98,8 +99,12 @@ class Engine(ABC):
         """Start a new stream with devices at ``(D, 3)``, ``(D, 4)``."""
 
     @abstractmethod
-    def put(self, qpos: np.ndarray, velocity: np.ndarray) -> None:
-        """Put the avatar into a pose ``(40,)``, moving at ``(3,)`` m/s."""
+    def put(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
+        """Put the avatar into a pose ``(40,)`` with velocities ``(39,)``."""
+
+    def moving_user(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Estimated pose and velocities of a user in motion, as ``put`` takes them, or None."""
+        return None
 
     @abstractmethod
     def feed(
@@ -144,9 +149,9 @@ class SimulatedEngine(Engine):
         """See ``Engine``."""
         return self._sim.objects.pose[0].copy()
 
-    def put(self, qpos: np.ndarray, velocity: np.ndarray) -> None:
+    def put(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
         """See ``Engine``."""
-        self._sim.put(qpos, velocity)
+        self._sim.put(qpos, qvel)
         self._agent.reset(1)
         assert self._assist is not None
         self._assist.reset()
@@ -217,9 +222,19 @@ class TorqueEngine(SimulatedEngine):
         self._window = self._config.future_frames
         self.latency_s = self._window / FPS
 
+    def build(self, height_m: float) -> None:
+        """See ``Engine``."""
+        super().build(height_m)
+        self._moving = MovingUser(self.names, height_m, (self._window - 1) / FPS)
+
     def begin(self, position: np.ndarray, quat: np.ndarray) -> None:
         """See ``Engine``."""
         self._sim.show_devices(position, quat, fill=True)
+        self._moving.reset()
+
+    def moving_user(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """See ``Engine``."""
+        return self._moving.state()
 
     def user_devices(self) -> tuple[np.ndarray, np.ndarray]:
         """See ``Engine``; over level ground."""
@@ -231,6 +246,7 @@ class TorqueEngine(SimulatedEngine):
         self, time_s: float, position: np.ndarray, quat: np.ndarray, present: np.ndarray
     ) -> AvatarState | None:
         """See ``Engine``."""
+        self._moving.show(position, quat)
         self._sim.show_devices(position, quat)
         position, quat = self._sim.shown_devices()
         return self._step((position[0], quat[0]), time_s - (self._window - 1) / FPS)
@@ -268,7 +284,7 @@ class PoseEngine(Engine):
         self._poses.reset()
         self._user = position, quat
 
-    def put(self, qpos: np.ndarray, velocity: np.ndarray) -> None:
+    def put(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
         """Does nothing: the next pose is the system's."""
 
     def user_devices(self) -> tuple[np.ndarray, np.ndarray]:
@@ -342,9 +358,9 @@ class PhysicsEngine(SimulatedEngine):
         self._users = [(position, quat)] * (AHEAD + 1)
         self._blend = 0
 
-    def put(self, qpos: np.ndarray, velocity: np.ndarray) -> None:
+    def put(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
         """See ``Engine``; the reference blends from this pose to the system's."""
-        super().put(qpos, velocity)
+        super().put(qpos, qvel)
         self._last = [qpos.copy() for _ in range(_POSES)]
         still = clip_from_qpos("pose", np.array(self._last), self.height_m)
         self._sim.show_pose(still, 1, None, fill=True)

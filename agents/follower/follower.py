@@ -29,7 +29,7 @@ from questsim.devices import DeviceFrame
 from questsim.errors import InputError
 from questsim.motion.clip import FPS
 from questsim.motion.kinematics import standing_clip
-from questsim.skeleton import NUM_LINKS
+from questsim.skeleton import NUM_DOFS, NUM_LINKS
 
 LOST_M, LOST_S = 0.6, 0.3
 """An avatar whose head is this far from its user's for this long has fallen and is set up again."""
@@ -173,11 +173,19 @@ class Follower:
             self._states.append(state)
 
     def _set_up(self, time_s: float, velocity: np.ndarray) -> None:
-        """Place the avatar at the user's estimated pose; never interpolate with earlier states."""
+        """Place the avatar at the user's estimated pose; never interpolate with earlier states.
+
+        Args:
+            time_s: of the state.
+            velocity: ``(3,)`` of the whole body, unless the user's motion can be estimated.
+        """
         engine = self._engine
-        position, quat = engine.user_devices()
-        qpos = estimated_pose(engine.names, position, quat, engine.height_m)
-        engine.put(qpos, velocity)
+        if (moving := engine.moving_user()) is not None:
+            qpos, qvel = moving
+        else:
+            qpos = estimated_pose(engine.names, *engine.user_devices(), engine.height_m)
+            qvel = np.concatenate([velocity, np.zeros(3 + NUM_DOFS)])
+        engine.put(qpos, qvel)
         self._states.clear()
         self._states.append(resting_state(time_s, qpos, engine.objects))
         self._lost_s = 0.0
