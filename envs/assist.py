@@ -4,12 +4,13 @@ QuestSim (section 5.3) asks when physics should be violated. The assist acts whi
 head is more than 25 cm from the user's head, or will be in 0.3 s at the present velocities, about
 the time constant of a body that topples. It reads the headset alone, so it also works live.
 
-The force pulls the pelvis by a spring and a damper, half towards the place below the user's head
-and half by the error of the avatar's head: users lean, and their pelvis is not seen. Its vertical
-part carries a body that sinks. It never pushes down, which would make the legs buckle. The torque
-turns the trunk upright and towards the user's heading. While the user bends or squats, the trunk
-keeps its lean. Both are renewed in every substep of the physics: the pelvis is light, and gains of
-this size would shake it at 36 Hz.
+The force on the pelvis is the sum of three parts. A spring and a damper pull the body, half towards
+the place below the user's head and half by the error of the avatar's head: users lean, and their
+pelvis is not seen. A part against toppling pulls the centre of mass back over the loaded feet. A
+vertical part carries a body that sinks; it never pushes down, which would make the legs buckle. The
+torque turns the trunk upright and towards the user's heading. While the user bends or squats, the
+trunk keeps its forward lean, but may not lean back or to the side. Both are renewed in every
+substep of the physics: the pelvis is light, and gains of this size would shake it at 36 Hz.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from questsim.errors import InputError
 from questsim.motion.clip import FPS
 from questsim.motion.kinematics import standing_clip
 from questsim.sensors import device_poses
-from questsim.skeleton import LINKS
+from questsim.skeleton import FOOT_LINKS, LINKS
 
 ENGAGE_M, RELEASE_M = 0.25, 0.12
 """Distance between the heads above which the assist fades in, and below which it fades out."""
@@ -44,9 +45,20 @@ _UPRIGHTING, _UPRIGHT_DAMPING = 8.0, 1.5
 """Gains of the torque on the sine of the tilt and its rate, N m and N m s per kg of the body."""
 _TURNING = 2.0
 """Gain of the torque about the vertical on the sine of the angle between the headings."""
+_BALANCE = 0.5
+"""Share of the moment of gravity about the feet that the part against toppling takes away."""
+_LEAST_LOAD_N = 20.0
+"""Added to the load of each foot, so that a body in the air has feet, too."""
+_SINK_WEIGHT = 2.0
+"""Weight of the height by which the avatar's head is lower, in the distance between the heads."""
+_LEAST_LEAN = 0.3
+"""Least forward lean of the trunk, as a sine, of an avatar whose user bends or squats."""
 _LOW, _UPRIGHT = 0.75, 0.90
 """Heights of the user's headset, as shares of its standing height: below the first the user bends
 or squats, above the second the trunk is taken to be upright."""
+_GRAVITY = 9.81
+_LEAST_HEIGHT_M = 0.3
+"""Least height of the centre of mass in the part against toppling."""
 _PELVIS, _HEAD = 1, LINKS.index("head")
 """The pelvis' body in the physics, and the head's link."""
 _UP = np.array([0.0, 0.0, 1.0])
@@ -72,6 +84,7 @@ class Assist:
         n = sim.num_envs
         self._sim, self.bound_n = sim, checked_bound(bound_n)
         self._wrench = sim.batch.bind("xfrc_applied")
+        self._centres = sim.batch.bind("subtree_com")
         self._eyes = standing_headsets(sim.user_heights)
         self.force, self.torque = np.zeros((n, 3)), np.zeros((n, 3))
         self.share = np.zeros(n)
@@ -107,9 +120,7 @@ class Assist:
         )
         self._user, self._heading, self._passed_s = user.copy(), rot.heading(user_quat), 0.0
         error, rate = user - own, self._velocity - own_velocity
-        worst = np.maximum(
-            np.linalg.norm(error, axis=-1), np.linalg.norm(error + FORESIGHT_S * rate, axis=-1)
-        )
+        worst = np.maximum(_distance(error), _distance(error + FORESIGHT_S * rate))
         self._engaged |= worst > ENGAGE_M
         self._engaged &= worst > RELEASE_M
         step = 1.0 / (FADE_S * FPS)
@@ -127,11 +138,12 @@ class Assist:
         user = self._user + self._passed_s * self._velocity
         self._passed_s += step_s
         own, pelvis = headsets(sim), sim.link_positions[:, 0].copy()
+        centre = self._centres[:, _PELVIS].copy()
         trunk = own - pelvis
         length = np.maximum(np.linalg.norm(trunk, axis=-1, keepdims=True), 1e-6)
         lean = trunk / length
-        before = self._body or (pelvis, lean)
-        self._body = pelvis, lean
+        before = self._body or (centre, lean)
+        self._body = centre, lean
         velocity, lean_rate = (
             (now - then) / step_s for now, then in zip(self._body, before, strict=True)
         )
@@ -141,14 +153,31 @@ class Assist:
         error[:, :2] += _HEAD_SHARE * ((user - own) - error)[:, :2]
         slip = self._velocity - velocity
         pull = _STIFFNESS * error + _DAMPING * slip
+        pull[:, :2] += self._against_toppling(centre)
         lift = _LIFT_STIFFNESS * error[:, 2] + _LIFT_DAMPING * slip[:, 2]
         pull[:, 2] = np.maximum(lift, 0.0)
-        turn = _UPRIGHTING * upright * np.cross(lean, _UP)
+        turn = _UPRIGHTING * np.cross(lean, _wanted_lean(lean, self._heading, upright))
         turn -= _UPRIGHT_DAMPING * np.cross(lean, lean_rate)
         aside = self._heading - rot.heading(sim.link_quats[:, _HEAD])
         turn[:, 2] += _TURNING * np.sin(aside)
         mass = sim.masses[:, None]
         self._set(mass * pull, mass * turn)
+
+    def _against_toppling(self, centre: np.ndarray) -> np.ndarray:
+        """Level acceleration ``(n, 2)`` of a body towards its feet.
+
+        Gravity accelerates an inverted pendulum of height ``h`` by ``g / h`` times its distance
+        from the foot.
+
+        Args:
+            centre: ``(n, 3)`` centres of mass.
+        """
+        sim = self._sim
+        load = np.maximum(sim.contact_force[..., 2], 0.0) + _LEAST_LOAD_N
+        feet = (load[..., None] * sim.link_positions[:, FOOT_LINKS, :2]).sum(axis=1)
+        feet /= load.sum(axis=1, keepdims=True)
+        height = np.maximum(centre[:, 2] - sim.floor, _LEAST_HEIGHT_M)[:, None]
+        return _BALANCE * _GRAVITY / height * (feet - centre[:, :2])
 
     def _set(self, force: np.ndarray, torque: np.ndarray) -> None:
         """Bound and fade a wrench ``(n, 3)``, ``(n, 3)``, and apply it."""
@@ -192,6 +221,27 @@ def standing_headsets(heights: np.ndarray) -> np.ndarray:
         standing.link_position[0], standing.link_quat[0], ["headset"], DEFAULT_HEIGHT_M
     )
     return heights * at[0, 2] / DEFAULT_HEIGHT_M
+
+
+def _distance(error: np.ndarray) -> np.ndarray:
+    """Length ``(n,)`` of the vectors ``(n, 3)`` to the users' heads; sinking counts more."""
+    weighted = error.copy()
+    weighted[:, 2] *= np.where(error[:, 2] > 0.0, _SINK_WEIGHT, 1.0)
+    return np.linalg.norm(weighted, axis=-1)
+
+
+def _wanted_lean(lean: np.ndarray, heading: np.ndarray, upright: np.ndarray) -> np.ndarray:
+    """Direction of the trunk that is wanted, the nearest of those that are allowed.
+
+    Args:
+        lean: ``(n, 3)`` present direction, from the pelvis to the head.
+        heading: ``(n,)`` of the users, radians.
+        upright: ``(n, 1)``, 1 for users who are upright, 0 for those who bend or squat.
+    """
+    ahead = np.stack([np.cos(heading), np.sin(heading), np.zeros_like(heading)], axis=-1)
+    bent = 1.0 - upright[:, 0]
+    sine = np.clip((lean * ahead).sum(axis=-1), _LEAST_LEAN * bent, bent)[:, None]
+    return sine * ahead + np.sqrt(np.maximum(1.0 - sine**2, 0.0)) * _UP
 
 
 def _bounded(vector: np.ndarray, most: float) -> np.ndarray:

@@ -15,7 +15,7 @@ from agents.follower.bridge import Bridge
 from agents.follower.moving import MovingUser
 from agents.follower.stance import estimated_pose
 from agents.loading import load_agent
-from envs.assist import Assist, headsets
+from envs.assist import Assist, _wanted_lean, headsets
 from envs.config import EnvConfig
 from envs.objects import objects_named
 from questsim import rotations as rot
@@ -25,7 +25,7 @@ from questsim.motion.clip import FPS
 from questsim.motion.kinematics import link_poses, standing_clip
 from questsim.motion.synthesis.synthetic import synthetic_clips
 from questsim.sensors import SENSOR_SETS, device_poses
-from questsim.skeleton import LINKS
+from questsim.skeleton import FOOT_LINKS, LINKS
 from questsim.synthetic_user import STILL_S, SyntheticUser, stream
 
 CLIPS = {clip.name: clip for clip in synthetic_clips()}
@@ -322,6 +322,41 @@ def test_the_assist_adds_to_a_push_on_the_pelvis_and_never_pushes_down():
     assert 0.0 < np.linalg.norm(assist.force[0]) <= 0.001 and assist.force[0, 2] == 0.0
     np.testing.assert_allclose(wrench[:3], [100.0, 0.0, 0.0], atol=0.001)
     sim.close()
+
+
+def test_the_assist_pulls_the_centre_of_mass_over_the_feet(monkeypatch):
+    for gain in ("_STIFFNESS", "_DAMPING", "_LIFT_STIFFNESS", "_LIFT_DAMPING"):
+        monkeypatch.setattr(f"envs.assist.{gain}", 0.0)
+    sim = evaluation_sim([CLIPS["synthetic-stand-1"]], EnvConfig(fixed_start=True))
+    sim.reset()
+    assist = Assist(sim, 2000.0)
+    assist.share[:] = 1.0
+    far = headsets(sim) + np.array([1.0, 0.0, 0.0])
+    assist.apply(far, np.array([[1.0, 0.0, 0.0, 0.0]]))
+    assist._centres = sim.batch.bind("subtree_com").copy()
+    centre = assist._centres[0, 1]
+    feet = sim.link_positions[0, FOOT_LINKS].mean(axis=0)  # nothing has been loaded yet
+    centre += [0.2, -0.1, 0.0]  # forward and to the right of the feet
+    assert sim.renew_forces is not None
+    sim.renew_forces()
+    # Half of the weight times the distance over the height of the centre.
+    wanted = 0.5 * 9.81 * sim.masses[0] / centre[2] * (feet - centre)[:2]
+    wrench = sim.batch.bind("xfrc_applied")[0, 1]
+    np.testing.assert_allclose(wrench[:3], [*wanted, 0.0], rtol=1e-6)
+    assert wrench[0] < 0.0 < wrench[1]
+    sim.close()
+
+
+def test_the_trunk_is_turned_upright_and_that_of_a_bent_user_neither_back_nor_aside():
+    ahead = np.array([0.0, np.pi / 2.0])  # one looks along x, one along y
+    lean = np.array([[-0.6, 0.0, 0.8], [0.6, 0.0, 0.8]])
+    up = [[0.0, 0.0, 1.0]] * 2
+    np.testing.assert_allclose(_wanted_lean(lean, ahead, np.ones((2, 1))), up)
+    bent = np.zeros((2, 1))
+    least = [[0.3, 0.0, 0.91**0.5], [0.0, 0.3, 0.91**0.5]]
+    np.testing.assert_allclose(_wanted_lean(lean, ahead, bent), least, atol=1e-12)
+    deep = np.array([[0.8, 0.0, 0.6], [0.0, 0.8, 0.6]])  # both bend forward: kept
+    np.testing.assert_allclose(_wanted_lean(deep, ahead, bent), deep, atol=1e-12)
 
 
 def test_an_avatar_without_physics_is_not_assisted():
