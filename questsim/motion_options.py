@@ -55,7 +55,7 @@ class ImportArgs:
     strict: bool = False
     """Write no library if any file cannot be used; by default such files are skipped and named."""
     explain: bool = False
-    """Print the assignment of the file's joints, with reasons."""
+    """Print how each file was read: joints with reasons, units, axes, feet, retargeting errors."""
 
 
 @dataclass

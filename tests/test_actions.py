@@ -166,6 +166,7 @@ def test_a_motion_argument_names_actions_and_random_clips() -> None:
     ("spec", "message"),
     [
         ("synthetic:random:0", r"synthetic:random:0: '0' is not a number of clips"),
+        ("synthetic:random:" + "3" * 5000, "' is not a number of clips"),
         ("synthetic:random:-3", "'-3' is not a number of clips"),
         ("synthetic:held-out:many", "'many' is not a number of clips"),
         ("synthetic:hover", "there is no kind 'hover'; choose from stand, walk.*bow.*all"),

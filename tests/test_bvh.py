@@ -246,6 +246,7 @@ BROKEN: dict[str, tuple[Callable[[str], str], str]] = {
     "too fast": (lambda t: _line(t, "Frame Time:", "Frame Time: 5e-324"), "frames a second.*--fps"),
     "frames nan": (lambda t: _line(t, "Frames:", "Frames: nan"), "not a whole number"),
     "no channels": (lambda t: _line(t, "CHANNELS 3", ""), "CHANNELS expected"),
+    "long count": (lambda t: _line(t, "CHANNELS 3", "CHANNELS " + "3" * 5000), "needs a number"),
     "offset": (lambda t: _line(t, "OFFSET", "OFFSET 1 2"), "not 3 finite numbers"),
     "unclosed": (lambda t: t.replace("}\nMOTION", "MOTION"), "MOTION before the end"),
 }  # fmt: skip

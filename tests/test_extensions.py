@@ -99,7 +99,9 @@ def test_a_data_set_and_its_skeleton_are_fetched_and_read(package: Path, capsys)
     assert "sway  " in out and "licence: CC0-1.0" in out
     (package / "sway.bvh").write_text(shouting())
     library = str(package / "library.npz")
-    assert main(["motions", "import", str(package / "sway.bvh"), "--out", library]) == 0
+    assert (
+        main(["motions", "import", str(package / "sway.bvh"), "--out", library, "--explain"]) == 0
+    )
     assert "Shouting" in capsys.readouterr().out
 
 

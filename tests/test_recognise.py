@@ -288,7 +288,7 @@ def test_a_mapping_file_can_be_written_out_and_gives_the_same_motion(tmp_path, c
 def test_an_import_says_where_the_soles_of_feet_that_are_never_still_come_from(tmp_path, capsys):
     slides = standing(20, 0.95) + np.linspace([0, 0, 0], [0, 0, 2], 20)
     path, rig = write_bvh(tmp_path / "a.bvh", SMPL_JOINTS, slides), tmp_path / "rig.toml"
-    command = ["motions", "import", str(path), "--out", str(tmp_path / "a.npz")]
+    command = ["motions", "import", str(path), "--out", str(tmp_path / "a.npz"), "--explain"]
     assert main(command) == 0
     assert "soles not measured, and no pitch is known for SMPL files" in capsys.readouterr().out
     assert main(["motions", "mapping", str(path), "--out", str(rig)]) == 0

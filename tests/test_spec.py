@@ -1,5 +1,7 @@
+import re
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -167,9 +169,14 @@ def test_a_dataset_is_split_by_its_test_list(tmp_path, monkeypatch):
 
 def test_import_writes_a_library_and_prints_how_each_file_was_taken(folder, tmp_path, capsys):
     out = tmp_path / "lib.npz"
-    import_motions(ImportArgs(paths=(str(folder),), out=str(out), mirrored=True, licence="CC0-1.0"))
+    given = ImportArgs(paths=(str(folder),), out=str(out), mirrored=True, licence="CC0-1.0")
+    import_motions(given)
+    plain = capsys.readouterr().out.splitlines()
+    assert len(plain) == 5 and "stand: 0.6 s, 1.68 m tall" in plain
+    assert re.fullmatch(rf"look at one: questsim motions show \S+ --motions {out}", plain[-1])
+    import_motions(replace(given, explain=True))
     text = capsys.readouterr().out
-    assert "stand: 20 frames, SMPL skeleton, units m (detected), up y (detected), 30 fps" in text
+    assert "    20 frames, SMPL skeleton, units m (detected), up y (detected), 30 fps" in text
     assert "retargeting error in cm: " in text and "left_knee" in text
     assert text.count("    feet: still soles at 0.") == 3 and "feet, mean of all: " in text
     library = load_library(out)

@@ -27,6 +27,7 @@ from questsim.motion.recording import (
 from questsim.rotations import as_quat
 
 CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
+COUNTS = tuple("0123456")
 _CHANNEL = {channel.lower(): channel for channel in CHANNELS}
 _KEYWORDS = {
     word.upper(): word
@@ -75,6 +76,7 @@ def read_bvh(path: str | Path, fps: float | None = None) -> Recording:
         fps=rate,
         sha256=hashlib.sha256(data).hexdigest(),
         tips=header.tips,
+        order=header.order,
     )
 
 
@@ -120,6 +122,13 @@ class _Header:
     def num_channels(self) -> int:
         return sum(map(len, self.channels))
 
+    @property
+    def order(self) -> str:
+        """Of the rotation channels of all joints that have any; empty if they differ."""
+        orders = {"".join(c[0] for c in joint if c.endswith("rotation")) for joint in self.channels}
+        orders.discard("")
+        return orders.pop() if len(orders) == 1 else ""
+
 
 def _pose(header: _Header, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positions ``(T, J, 3)`` and rotations ``(T, J, 4)`` of the frames ``(T, C)``."""
@@ -134,7 +143,7 @@ def _pose(header: _Header, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         moved = [channel for channel in at if channel.endswith("position")]
         if moved:
             columns = {CHANNELS.index(c): at[c] for c in moved}
-            _move(positions[:, joint], values, columns, joint)
+            _move(positions[:, joint], values, columns)
         order = [channel for channel in channels if channel.endswith("rotation")]
         if order:
             letters = "".join(channel[0] for channel in order)
@@ -150,7 +159,6 @@ def _move(
     place: np.ndarray,
     values: np.ndarray,
     columns: dict[int, int],
-    joint: int,
 ) -> None:
     """Puts the position channels, axis to column, into a joint's ``(T, 3)``.
 
@@ -158,14 +166,12 @@ def _move(
         place: ``(T, 3)``, filled with the joint's offset.
         values: ``(T, C)`` all channels.
         columns: axis to column of the position channels.
-        joint: index; the root is 0.
     """
     axes, given = list(columns), values[:, list(columns.values())]
     offset = place[0, axes].copy()
-    if joint:
-        usual = np.median(given, axis=0)
-        if np.linalg.norm(usual) < DISPLACEMENT * np.linalg.norm(offset):
-            given = given + offset
+    usual = np.median(given, axis=0)
+    if np.linalg.norm(usual) < DISPLACEMENT * np.linalg.norm(offset):
+        given = given + offset
     place[:, axes] = given
 
 
@@ -313,7 +319,7 @@ class _HierarchyReader:
         if not self.open or self.open[-1] == _SITE:
             raise self.refuse("CHANNELS are not inside a joint")
         count, names = words[1:2], words[2:]
-        if not count or not count[0].isdigit() or int(count[0]) > 6:
+        if not count or count[0] not in COUNTS:
             raise self.refuse(
                 f"CHANNELS needs a number of channels up to 6, not {' '.join(count)[:40]!r}"
             )

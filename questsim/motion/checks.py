@@ -9,6 +9,7 @@ import numpy as np
 from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.motion.motion import Motion, rest_height
+from questsim.motion.strides import path_problem
 from questsim.skeleton import JOINTS
 
 MIN_STATURE_M, MAX_STATURE_M = 1.2, 2.2
@@ -63,7 +64,7 @@ MIN_UPRIGHT = 0.5
 """Cosine between the vertical and the direction from the feet to the head."""
 MAX_ROOT_SPEED = 13.0
 """m/s; no one has run faster."""
-
+START_S = 0.25
 
 MAX_ROOT_TURN = 40.0
 """rad/s of the pelvis; a figure skater's fastest spins are at 36 (340 turns a minute). Of 290 clips
@@ -172,16 +173,38 @@ def _problems(motion: Motion, position: np.ndarray, report: Report) -> list[str]
             f"second: the true frame rate may be about {true:.0f}"
         )
     if len(motion) > 1:
-        # Over 0.05 s, so that one noisy frame at a high rate is no reason to refuse a file.
-        over = min(max(1, int(0.05 * motion.fps)), len(motion) - 1)
-        moved = position[over:, 0] - position[:-over, 0]
-        speed = np.linalg.norm(moved, axis=-1) * motion.fps / over
+        speed, _ = _root_speed(motion)
         if speed.max() > MAX_ROOT_SPEED:
             out.append(
                 f"the root moves at {speed.max():.0f} m/s at frame {int(speed.argmax())}, "
                 f"faster than anyone runs"
             )
+    if problem := path_problem(motion, position):
+        out.append(problem)
     return out
+
+
+def jump_at_start(motion: Motion) -> int:
+    """How many frames come before the root's last jump within the first quarter of a second.
+
+    Some programs let the root come from the origin to its place. A later jump is no such start.
+    """
+    if len(motion) < 2:
+        return 0
+    speed, over = _root_speed(motion)
+    fast = np.flatnonzero(speed > MAX_ROOT_SPEED)
+    last = int(fast[-1]) + over if len(fast) else 0
+    return last if last <= max(1, START_S * motion.fps) and last < len(motion) - 1 else 0
+
+
+def _root_speed(motion: Motion) -> tuple[np.ndarray, int]:
+    """The root's speed in m/s from each frame over a number of frames, and that number.
+
+    Over 0.05 s, so that one noisy frame at a high rate is no reason to refuse a file.
+    """
+    over = min(max(1, int(0.05 * motion.fps)), len(motion) - 1)
+    moved = motion.root_position[over:] - motion.root_position[:-over]
+    return np.linalg.norm(moved, axis=-1) * motion.fps / over, over
 
 
 def jumps(motion: Motion) -> str:

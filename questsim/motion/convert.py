@@ -13,6 +13,7 @@ from questsim.errors import InputError
 from questsim.motion.families import Family
 from questsim.motion.motion import Motion
 from questsim.motion.recording import Recording
+from questsim.motion.twist import ARBITRARY, untwist
 from questsim.skeleton import JOINT_PARENTS, JOINTS, NUM_JOINTS, generations
 
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -78,7 +79,14 @@ def global_pose(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     return positions, orientations
 
 
-def to_motion(recording: Recording, family: Family, metres: float, up: str, **meta: str) -> Motion:
+def to_motion(
+    recording: Recording,
+    family: Family,
+    metres: float,
+    up: str,
+    changes: list[str] | None = None,
+    **meta: str,
+) -> Motion:
     """The recording on the 22-joint skeleton.
 
     Joint positions are kept to within rounding if the file's bones are rigid.
@@ -88,6 +96,7 @@ def to_motion(recording: Recording, family: Family, metres: float, up: str, **me
         family: the joint mapping, and the joint axes in the T-pose.
         metres: metres per file unit.
         up: the file's up axis, ``"y"``, ``"-z"``, ...
+        changes: if given, what was changed in the motion is added to it.
         **meta: ``kind``, ``style``, ``licence`` of the ``Motion``.
 
     Raises:
@@ -118,6 +127,8 @@ def to_motion(recording: Recording, family: Family, metres: float, up: str, **me
             turned[:, joint] = turned[:, JOINT_PARENTS[joint]]
     placed = {joint: place @ world.T for joint, place in places.items()}
     _check_rigid(recording, set(index.values()), metres)
+    if untwist(placed, turned) and changes is not None:
+        changes.append(ARBITRARY)
     offsets = _offsets(placed, turned, _toes(placed))
     return Motion(
         name=recording.path.stem,

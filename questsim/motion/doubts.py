@@ -41,5 +41,5 @@ def _far_from_floor(report: Report) -> str:
         return ""
     return (
         f"moved by {report.lifted_m:+.2f} m onto the floor: perhaps the root's positions have "
-        "other units than the bones"
+        "other units than the bones, or another origin"
     )

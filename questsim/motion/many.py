@@ -41,10 +41,14 @@ MAX_SHOWN = 20
 
 @dataclass(frozen=True)
 class Retargeted:
-    """The result of ``read_and_retarget``; errors, feet and warnings if requested."""
+    """The result of ``read_and_retarget``; errors, feet and warnings if requested.
+
+    ``summary`` is plain; ``report`` says all that was detected.
+    """
 
     motion: Motion
     clip: Clip
+    summary: str
     report: str
     error_cm: dict[str, float]
     stance: StanceFigures | None = None
@@ -79,11 +83,19 @@ def read_and_retarget(path: Path, options: ReadOptions, with_error: bool = False
     if not options.accept:
         check = check_fit if report.skeleton == RECOGNISED else check_roughly
         check(motion, clip, path)
+    summary = _summary(motion, report)
     stance = stance_figures(motion, clip) if with_error else None
     if stance and not stance.still:
         report = replace(report, notes=(*report.notes, _unmeasured_soles(report)))
     warnings = (*doubts(motion, report), *stance.warnings()) if stance else ()
-    return Retargeted(motion, clip, str(report), error, stance, warnings)
+    return Retargeted(motion, clip, summary, str(report), error, stance, warnings)
+
+
+def _summary(motion: Motion, report: Report) -> str:
+    """Duration, height, and what was changed."""
+    scaled = [report.units.partition("; ")[2].rstrip(")")] if "scaled to" in report.units else []
+    said = [f"{motion.duration:.1f} s, {report.stature_m:.2f} m tall", *scaled, *report.notes]
+    return "; ".join(said)
 
 
 def _unmeasured_soles(report: Report) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections import defaultdict
 from collections.abc import Sequence
@@ -52,7 +53,7 @@ def import_motions(args: ImportArgs) -> None:
     raw, libraries = split_libraries(files)
     if args.explain:
         _explain(raw[:MAX_REPORTS], options)
-    done = _read(raw, options, skipped)
+    done = _read(raw, options, skipped, args.explain)
     library, unread = load_libraries(libraries)
     for refused in unread:
         skipped.add(refused.message)
@@ -64,12 +65,14 @@ def import_motions(args: ImportArgs) -> None:
         motions += [motion.mirrored() for motion in motions]
         clips += [mirror_clip(clip) for clip in clips]
     save_library(out, motions, clips)
-    if done:
+    if done and args.explain:
         results = list(done.values())
         _print_errors(results)
         _print_stances(results)
     count = f"{len(clips)} clip{'s' if len(clips) != 1 else ''}"
     print(f"{count}, {sum(c.duration for c in clips):.0f} s, in {out}{skipped}")
+    clip, library_path = shlex.quote(clips[0].name), shlex.quote(str(out))
+    print(f"look at one: questsim motions show {clip} --motions {library_path}")
 
 
 @dataclass
@@ -138,8 +141,10 @@ def check_library_path(out: Path) -> None:
         raise InputError("no such folder", out.parent, "create it first")
 
 
-def _read(files: Sequence[Path], options: ReadOptions, skipped: _Skipped) -> dict[int, Retargeted]:
-    """The files that can be used, by index; says of the first ones how they were taken."""
+def _read(
+    files: Sequence[Path], options: ReadOptions, skipped: _Skipped, explained: bool
+) -> dict[int, Retargeted]:
+    """The files that can be used, by index; says of the first ones how they were read."""
     done: dict[int, Retargeted] = {}
     names = file_names(files)
     for index, result in enumerate(read_many(files, options, with_error=True)):
@@ -147,8 +152,10 @@ def _read(files: Sequence[Path], options: ReadOptions, skipped: _Skipped) -> dic
             skipped.add(result.message)
             continue
         if len(done) < MAX_REPORTS:
-            print(f"{names[index]}: {len(result.motion)} frames, {result.report}")
-            print(f"    feet: {result.stance}")
+            print(f"{names[index]}: {result.summary}")
+            if explained:
+                print(f"    {len(result.motion)} frames, {result.report}")
+                print(f"    feet: {result.stance}")
         elif len(done) == MAX_REPORTS:
             print("... and more")
         for warning in result.warnings:

@@ -22,6 +22,7 @@ from questsim.motion.checks import (
     MIN_UPRIGHT,
     Report,
     check,
+    jump_at_start,
     refuse,
     stature,
     upright_share,
@@ -35,6 +36,7 @@ from questsim.motion.recording import MAX_FPS, MIN_FPS, Recording
 from questsim.motion.rest import some_frames, zero_pose
 from questsim.motion.skeletons import find_skeleton, without_rest_frame
 from questsim.motion.sources import TEXT_SUFFIXES
+from questsim.motion.strides import order_problem
 from questsim.skeleton import JOINTS
 
 USUAL_STATURE_M = 1.7
@@ -182,22 +184,48 @@ def _on_own_skeleton(
     }
     usual = f"as {family.name} files"
     if family.units and family.up and not (options.units or options.up or options.height_m):
-        motion = to_motion(recording, family, UNITS[family.units], family.up, **about)
+        motion, notes = _motion(recording, family, UNITS[family.units], family.up, about)
         report = check(motion, f"{family.units} ({usual})", f"{family.up} ({usual})")
         if not report.problems:
-            return motion, replace(report, **said)
+            report = replace(report, **said | {"notes": (*recording.notes, *notes)})
+            return motion, _with_order(report, recording, family, motion, family.up)
     metres, units = _units(recording, family, options)
     up, up_note = _up_axis(recording, family, options)
     if up_note == DETECTED:
         has_rest_frame = len(recording.positions) < len(whole.positions)
         up = (_standing_up(_first(whole), family) if has_rest_frame else None) or up
         up = _lying_up(recording, family, up)
-    motion = to_motion(recording, family, metres, up, **about)
+    motion, notes = _motion(recording, family, metres, up, about)
+    said["notes"] = (*recording.notes, *notes)
     report = replace(check(motion, units, f"{up} ({up_note})"), **said)
     # Feet far from the floor are put onto it, and are no reason to skip the anatomy.
     if family.rest and all(p.startswith(FEET_OFF_FLOOR) for p in report.problems):
         report = replace(report, problems=(*report.problems, *anatomy_problems(motion)))
-    return motion, report
+    return motion, _with_order(report, recording, family, motion, up)
+
+
+def _motion(
+    recording: Recording, family: Family, metres: float, up: str, about: dict[str, str]
+) -> tuple[Motion, list[str]]:
+    """The recording on our skeleton, and what was changed in it."""
+    notes: list[str] = []
+    motion = to_motion(recording, family, metres, up, notes, **about)
+    if begin := jump_at_start(motion):
+        motion = replace(
+            motion, root_position=motion.root_position[begin:], rotations=motion.rotations[begin:]
+        )
+        notes.append(f"the root jumps in the first {begin} frames: they are left out")
+    return motion, notes
+
+
+def _with_order(
+    report: Report, recording: Recording, family: Family, motion: Motion, up: str
+) -> Report:
+    """The report with a wrong order of the rotation channels among its problems."""
+    if any(not p.startswith(FEET_OFF_FLOOR) for p in report.problems):
+        return report
+    problem = order_problem(recording, family, motion, up)
+    return replace(report, problems=(*report.problems, problem)) if problem else report
 
 
 def _units(recording: Recording, family: Family, options: ReadOptions) -> tuple[float, str]:

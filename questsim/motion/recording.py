@@ -41,6 +41,8 @@ class Recording:
         tips: joint index to ``(3,)`` end of the bone of a leaf joint, in that joint's frame;
             joints without an end in the file are absent.
         notes: what the reader changed or assumed, for the report.
+        order: of the rotation channels of all joints, e.g. ``"ZXY"``; empty if they differ or the
+            file has none.
     """
 
     path: Path
@@ -52,6 +54,7 @@ class Recording:
     sha256: str
     tips: Mapping[int, np.ndarray] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    order: str = ""
 
 
 def read_bytes(path: Path) -> bytes:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 SYNTHETIC = "synthetic"
 RANDOM, HELD_OUT = "random", "held-out"
 RANDOM_COUNT = 100
+MAX_DIGITS = 9
 """Number of clips of ``synthetic:random`` and ``synthetic:held-out`` if not given."""
 
 _T = TypeVar("_T", Motion, Clip)
@@ -176,7 +177,7 @@ def _synthetic(part: str, seed: int) -> list[Clip]:
 
 
 def _count(text: str, part: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
+    if not text.isdecimal() or len(text) > MAX_DIGITS or int(text) < 1:
         raise InputError(
             f"{text!r} is not a number of clips", part, f"write {SYNTHETIC}:{RANDOM}:500"
         )
