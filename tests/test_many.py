@@ -59,7 +59,7 @@ def test_import_skips_and_names_what_cannot_be_used(mixed, tmp_path, capsys):
         ("gone.bvh", "no such file"),
     ):
         assert sum(str(mixed / file) in line and reason in line for line in skipped) == 1, file
-    assert said.out.splitlines()[-1].endswith("; 5 skipped")
+    assert said.out.splitlines()[-2].endswith("; 5 skipped")
 
 
 def test_strict_import_and_import_of_nothing_write_no_library(mixed, tmp_path, capsys):

@@ -64,7 +64,7 @@ MIN_UPRIGHT = 0.5
 """Cosine between the vertical and the direction from the feet to the head."""
 MAX_ROOT_SPEED = 13.0
 """m/s; no one has run faster."""
-START_S = 0.25
+START_S, START_SHARE = 0.25, 0.1
 
 MAX_ROOT_TURN = 40.0
 """rad/s of the pelvis; a figure skater's fastest spins are at 36 (340 turns a minute). Of 290 clips
@@ -185,7 +185,7 @@ def _problems(motion: Motion, position: np.ndarray, report: Report) -> list[str]
 
 
 def jump_at_start(motion: Motion) -> int:
-    """How many frames come before the root's last jump within the first quarter of a second.
+    """How many frames come before the root's last jump, if all jumps are at the very beginning.
 
     Some programs let the root come from the origin to its place. A later jump is no such start.
     """
@@ -194,7 +194,7 @@ def jump_at_start(motion: Motion) -> int:
     speed, over = _root_speed(motion)
     fast = np.flatnonzero(speed > MAX_ROOT_SPEED)
     last = int(fast[-1]) + over if len(fast) else 0
-    return last if last <= max(1, START_S * motion.fps) and last < len(motion) - 1 else 0
+    return last if last <= min(START_S * motion.fps, START_SHARE * len(motion)) else 0
 
 
 def _root_speed(motion: Motion) -> tuple[np.ndarray, int]:
