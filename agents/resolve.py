@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal
 from typing_extensions import Doc
 
 from agents.hub import PREFIX, downloaded
-from questsim.errors import InputError
+from questsim.errors import InputError, did_you_mean
 from questsim.files import read_yaml
 
 SHIPPED = Path(__file__).parent / "weights"
@@ -139,7 +139,9 @@ def resolve(path_or_name: str | Path | Resolved) -> Resolved:
             return Resolved(name, "policy", name, folder, _card(folder / POLICY_CARD))
     if on_hub:
         raise InputError("holds no agent of questsim", name)
-    raise InputError("is not an agent", name, f"name a run or checkpoint folder, or {_known()}")
+    near = did_you_mean(name, _names())
+    fix = f"{near}name a run or checkpoint folder, or {_known()}"
+    raise InputError("is not an agent", name, fix)
 
 
 def _is_own(name: str) -> bool:
@@ -156,7 +158,8 @@ def resolve_policy(path_or_name: str | Path | Resolved) -> Resolved:
     """
     found = resolve(path_or_name)
     if found.kind != "policy":
-        fix = f"name a policy's folder or one of {', '.join(shipped_policies())}"
+        near = did_you_mean(found.name, shipped_policies())
+        fix = f"{near}name a policy's folder or one of {', '.join(shipped_policies())}"
         raise InputError("is not a torque policy", found.name, fix)
     return found
 
@@ -174,7 +177,8 @@ def resolve_system(path_or_name: str | Path | Resolved) -> Resolved:
     with suppress(InputError) if not (_is_own(name) or name.startswith(PREFIX)) else nullcontext():
         found = resolve(name)
     if found is None or found.kind != "system":
-        fix = f"name a system's folder or one of {', '.join(shipped_systems())}"
+        near = did_you_mean(name, shipped_systems())
+        fix = f"{near}name a system's folder or one of {', '.join(shipped_systems())}"
         raise InputError("is not a kinematic system", name, fix)
     return found
 
@@ -250,9 +254,12 @@ def _shipped_with(card: str) -> tuple[str, ...]:
     return tuple(sorted(path.parent.name for path in SHIPPED.glob(f"*/{card}")))
 
 
+def _names() -> tuple[str, ...]:
+    return (*shipped_policies(), *shipped_systems(), *BASELINES)
+
+
 def _known() -> str:
-    names = ", ".join((*shipped_policies(), *shipped_systems(), *BASELINES))
-    return f"{names}, package.module:Class, or a kinematic system and {PHYSICS}"
+    return f"{', '.join(_names())}, package.module:Class, or a kinematic system and {PHYSICS}"
 
 
 def own_class(name: str) -> type:

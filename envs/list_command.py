@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
@@ -10,6 +11,19 @@ from envs.layout import observation_layout, observation_size
 from envs.registration import ENVIRONMENTS
 from envs.terrain import RANGES, TERRAINS, Terrain, terrain_named
 from questsim.errors import InputError
+
+_GROUNDS = {
+    "flat": "level ground",
+    "rough": "bumps and hollows of up to 4 cm, a new height every 25 cm",
+    "waves": "hills and hollows of up to 10 cm, 2 m long",
+    "slope": "a slope of 8 degrees, walked in any direction",
+    "stairs": "flights of five steps of 8 cm, up and down",
+    "steps": "blocks of 80 cm, a step of 6 cm up or down or level",
+    "gaps": "ditches of 20 cm, 80 cm apart",
+    "course": "tiles of all these grounds, each row harder than the one before",
+    "mixed": "for training: level floor, rough ground and slopes, changing by episode",
+}
+"""The terrains in words, as they are by default."""
 
 
 @dataclass(frozen=True)
@@ -32,17 +46,27 @@ def list_environments(args: ListEnvsArgs) -> int:
     if args.name is None:
         width = max(map(len, ENVIRONMENTS))
         for name, options in ENVIRONMENTS.items():
-            text = ", ".join(f"{key}={value!r}" for key, value in options.items())
-            print(f"{name:{width}}  {text or 'flat ground, headset and two controllers'}")
-        print(f"terrains: {', '.join(TERRAINS)}; options: questsim envs --name NAME")
+            print(f"{name:{width}}  {_about(options)}")
+        print(f"\nIn Python: gymnasium.make({next(iter(ENVIRONMENTS))!r}), after import envs.")
+        print("All options of one: questsim envs --name QuestSimRough-v0")
+        print(f"--terrain and --env also take a ground by name: {', '.join(TERRAINS)}")
     elif args.name in ENVIRONMENTS:
         _describe(args.name)
     elif args.name in TERRAINS:
         _print_options(TERRAINS[args.name])
     else:
         known = ", ".join([*ENVIRONMENTS, *TERRAINS])
-        raise InputError(f"there is no {args.name!r}", "--name", f"there are {known}")
+        raise InputError(f"there is no {args.name!r}", "--name", f"choose from {known}")
     return 0
+
+
+def _about(options: Mapping[str, Any]) -> str:
+    """An environment in words."""
+    terrain = str(options.get("terrain", "flat"))
+    ground = _GROUNDS.get(terrain, f"the ground {terrain!r}")
+    alone = "; the headset alone, without controllers" if options.get("sensors") == "H" else ""
+    others = {k: v for k, v in options.items() if k != "terrain" and (k, v) != ("sensors", "H")}
+    return ground + alone + "".join(f"; {key} = {value!r}" for key, value in others.items())
 
 
 def _describe(name: str) -> None:

@@ -27,13 +27,24 @@ class InputError(ValueError):
     Args:
         what: what is wrong, e.g. ``"MOTION block ends after 12 of 273 frames"``.
         where: the file, line, field or option, e.g. ``"walk.bvh, line 180"``.
-        fix: what the user can do about it, e.g. ``"download the file again"``.
+        fix: what the user can do about it, e.g. ``"download the file again"``. If it is ``"choose
+            from A, B"`` and ``what`` quotes a word that is like one of these, it also asks whether
+            that one was meant.
     """
 
     def __init__(self, what: str, where: str | Path | None = None, fix: str | None = None) -> None:
+        fix = _with_near(what, fix)
         self.what, self.where, self.fix = what, where, fix
         message = f"{_short(where)}: {_short(what)}" if where is not None else _short(what)
         super().__init__(f"{message}; {_short(fix)}" if fix else message)
+
+
+def _with_near(what: str, fix: str | None) -> str | None:
+    listed = (fix or "").partition("choose from ")
+    quoted = re.search(r"'([^']+)'", what)
+    if fix is None or listed[0] or not listed[1] or quoted is None:
+        return fix
+    return did_you_mean(quoted[1], listed[2].split(", ")) + fix
 
 
 def _short(text: str | Path) -> str:

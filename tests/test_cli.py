@@ -151,3 +151,25 @@ def test_the_module_is_a_command_too():
     words = [sys.executable, "-m", "questsim", "--version"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, f"questsim {__version__}\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        ("evaluate --agent questim", "questsim"),
+        ("evaluate --compare --agents hmdpose --out x", "hmdposer"),
+        ("evaluate --terrain rouh", "rough"),
+        ("evaluate --motions synthetic:wlak", "walk"),
+        ("evaluate --motions sinthetic", "synthetic"),
+        ("envs --name QuestSimStars-v0", "QuestSimStairs-v0"),
+        ("trian", "train"),
+    ],
+)
+def test_a_misspelt_name_is_answered_with_the_one_that_it_is_like(
+    words, meant, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(words.split()) == 2
+    error = capsys.readouterr().err
+    assert f"did you mean {meant}? " in error and error.count("\n") == 1
+    assert not any(tmp_path.iterdir())

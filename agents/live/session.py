@@ -21,7 +21,7 @@ from envs.core import BatchSim
 from envs.objects import OBJECTS, shapes_of
 from questsim import rotations as rot
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
-from questsim.errors import InputError
+from questsim.errors import InputError, did_you_mean
 from questsim.motion.clip import FPS, Clip
 from questsim.sensors import device_poses, sensor_set
 from questsim.skeleton import NUM_DOFS
@@ -303,7 +303,9 @@ class DemoSession:
             InputError: names the setting.
         """
         if settings.clip not in self._clips:
-            raise InputError(f"there is no clip {settings.clip!r}")
+            near = did_you_mean(settings.clip, self._clips)
+            fix = f"{near}questsim motions list names the clips"
+            raise InputError(f"there is no clip {settings.clip!r}", fix=fix)
         usable = self._driver(settings.agent).sensor_sets()
         if settings.sensors not in usable:
             raise InputError(

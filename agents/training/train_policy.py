@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -145,7 +144,7 @@ def train_here(args: TrainArgs) -> int:
             if stopper.requested:
                 display.say(f"stopped; go on with --resume --out {args.out}")
                 return INTERRUPTED
-        display.say(_outcome(args.out))
+        display.say(_outcome(args))
     return 0
 
 
@@ -202,12 +201,16 @@ def _cluster(args: TrainArgs) -> AbstractContextManager[None]:
     return nullcontext()
 
 
-def _outcome(out: Path) -> str:
-    """Print where the policy is, if the training saved one."""
+def _outcome(args: TrainArgs) -> str:
+    """Where the policy is, if the training saved one, and how to score and watch it.
+
+    A tracker of estimates is scored on the estimates, which are the motions that it observes.
+    """
+    out, motions = args.out, "synthetic" if args.estimates is None else args.estimates
     try:
         return (
             f"trained: {find_policy(out)}\n"
-            f"score it: questsim evaluate --agent {out} --motions synthetic --out {out}/scores\n"
+            f"score it: questsim evaluate --agent {out} --motions {motions} --out {out}/scores\n"
             f"watch it: questsim play {out}"
         )
     except InputError:  # fine-tuning saves only a policy better than its start

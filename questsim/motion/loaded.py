@@ -14,7 +14,7 @@ from filelock import FileLock
 
 from questsim import rotations, skeleton
 from questsim.assets import mjcf_path
-from questsim.errors import InputError
+from questsim.errors import InputError, did_you_mean
 from questsim.files import whole_file
 from questsim.motion import datasets
 from questsim.motion.cache import cache_dir
@@ -49,7 +49,8 @@ def load_part(part: str, clips: bool, strict: bool) -> Library:
     if name in datasets.DATASETS:
         return _load_dataset(name, split or None, clips)
     if not os.path.exists(part):
-        raise InputError(f"no motions {part!r}", fix=choices())
+        near = did_you_mean(name, ("synthetic", *datasets.DATASETS))
+        raise InputError(f"no motions {part!r}", fix=near + choices())
     files = motion_files(part)
     raw, libraries = split_libraries(files)
     out, skipped = load_libraries(libraries, motions=not clips, clips=clips)
