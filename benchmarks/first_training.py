@@ -1,6 +1,6 @@
 """A first training, over seeds: does it learn what the tutorial says?
 
-    python -m benchmarks.first_training [--seeds 3] [--minutes 4 10] [--preset cpu] [--out runs/first]
+    python -m benchmarks.first_training [--seeds 3] [--minutes 4 10] [--preset cpu] [--out DIR]
 
 Each seed is trained once for each time, from nothing, in a process of its own; at the defaults this
 takes 42 minutes. Run it while nothing else uses the processor, since it gives minutes, not steps.
