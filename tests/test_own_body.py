@@ -171,6 +171,19 @@ def test_torques_of_inverse_dynamics_carry_the_weight_at_rest():
     assert np.abs(torque[elbows]).max() < 0.05
 
 
+@pytest.mark.parametrize("file", [ROBOT, GYMNASIUM])
+def test_a_chair_carries_the_thighs_of_a_seated_clip(file):
+    whole = load_motions("synthetic:sit")[0]
+    lowest = int(whole.qpos[:, 2].argmin())
+    seated = np.repeat(whole.qpos[lowest : lowest + 1], 3, axis=0)
+    clip = clip_for(read_body(file), clip_from_qpos("sit", seated, whole.height_m, kind="sit"))
+    body = map_of(read_body(file))
+    hinges = [i for i, name in enumerate(body.dofs) if "knee" in name]
+    on_chair = np.abs(own_torques(read_body(file), [clip])[:, hinges]).max()
+    crouched = np.abs(own_torques(read_body(file), [replace(clip, kind="squat")])[:, hinges]).max()
+    assert on_chair < 0.6 * crouched
+
+
 def test_evaluation_compares_our_links_on_the_other_body(walk):
     config = env_config(ZeroAgent(), body=GYMNASIUM)
     for agent in (ZeroAgent(), RandomAgent()):

@@ -44,7 +44,8 @@ SPREAD = 0.05
 EDGES = np.array(
     [[FRICTION, 0.0, 1.0], [-FRICTION, 0.0, 1.0], [0.0, FRICTION, 1.0], [0.0, -FRICTION, 1.0]]
 )
-_THIGHS = tuple(LINKS.index(f"{side}_thigh") for side in ("left", "right"))
+THIGHS = tuple(LINKS.index(f"{side}_thigh") for side in ("left", "right"))
+"""Links that a chair carries."""
 VERSION = b"2"
 """Part of the cache key: change it with the method, so that torques are recomputed."""
 
@@ -135,7 +136,7 @@ class InverseDynamics:
                 if point[2] < CONTACT_HEIGHT_M:
                     yield foot, point
         if on_chair and self._data.qpos[2] < self._seated_below_m:
-            for thigh in _THIGHS:
+            for thigh in THIGHS:
                 for point in self._in_world(thigh, self._seat):
                     yield thigh, point - [0.0, 0.0, self._thigh_m]
 
