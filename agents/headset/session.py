@@ -198,7 +198,7 @@ class LiveSession:
         except InputError as error:
             self._announce(f"{error.what}; again" + (f": {error.fix}" if error.fix else ""))
             return
-        self._follow(f"stature {known.height_m:.2f} m")
+        self._follow(f"your height: {known.height_m:.2f} m")
 
     def _follow(self, text: str) -> None:
         self.state = FOLLOWING

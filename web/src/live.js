@@ -35,11 +35,6 @@ addEventListener("resize", () => {
 });
 
 const scene = makeWorld();
-loadGround(scene).then((level) => {
-  ahead.visible = level; // on a terrain its place has another height
-}).catch((error) => {
-  element("fault").textContent = `the ground was not loaded: ${error.message}`;
-});
 const own = new Figure();
 const mirrored = new Figure(true);
 const ahead = new Figure();
@@ -48,8 +43,14 @@ forces.visible = false;
 const board = new Board();
 const objects = new WorldObjects();
 const mirroredObjects = new WorldObjects(true);
-const stage = new Stage(new Mirror(mirrored, mirroredObjects), board, ahead);
+const mirror = new Mirror(mirrored, mirroredObjects);
+const stage = new Stage(mirror, board, ahead);
 scene.add(own, objects, stage, forces);
+loadGround(scene, mirror).then((level) => {
+  ahead.visible = level; // on a terrain its place has another height
+}).catch((error) => {
+  element("fault").textContent = `the ground was not loaded: ${error.message}`;
+});
 
 const state = { text: "connecting", numbers: "", event: "", eventAt: 0, height: null };
 let connection = new Connection("watcher", take);

@@ -1,7 +1,7 @@
 // The room: floor, objects, mirror, arrows of forces, and a board with figures.
 import {
   ArrowHelper, BoxGeometry, CanvasTexture, Color, DirectionalLight, Group, HemisphereLight, Mesh,
-  MeshBasicMaterial, MeshStandardMaterial, PlaneGeometry, RepeatWrapping,
+  MeshBasicMaterial, MeshStandardMaterial, NotEqualStencilFunc, PlaneGeometry, RepeatWrapping,
   ReplaceStencilOp, Scene, SphereGeometry, SRGBColorSpace, Vector3,
 } from "three";
 import { address } from "./address.js";
@@ -22,7 +22,8 @@ export function makeWorld() {
 }
 
 // Replaces the level floor by the session's terrain, if it has one; returns whether it is level.
-export async function loadGround(scene) {
+// The mirror then shows a reflected terrain: the one behind it would hide the reflection's feet.
+export async function loadGround(scene, mirror) {
   const ground = await (await fetch(address("/ground.json"))).json();
   if (!ground) return true;
   const level = scene.getObjectByName("floor");
@@ -33,6 +34,11 @@ export async function loadGround(scene) {
   level.geometry.dispose();
   level.geometry = shape;
   level.material.map.repeat.set(ground.side_m / 2, ground.side_m / 2);
+  const reflected = new Mesh(shape, level.material.clone());
+  reflected.rotation.copy(level.rotation);
+  onlyInGlass(reflected);
+  mirror.shifted.add(reflected);
+  Object.assign(level.material, { stencilWrite: true, stencilRef: 1, stencilFunc: NotEqualStencilFunc });
   return false;
 }
 
