@@ -2,12 +2,14 @@
 
 import subprocess
 import sys
+import time
 
 import pytest
 from command_line import questsim
 
 from questsim import __version__, cli
 from questsim.errors import InputError
+from questsim.waiting import said_if_slow
 
 
 def test_help_lists_every_command(capsys):
@@ -173,3 +175,15 @@ def test_a_misspelt_name_is_answered_with_the_one_that_it_is_like(
     error = capsys.readouterr().err
     assert f"did you mean {meant}? " in error and error.count("\n") == 1
     assert not any(tmp_path.iterdir())
+
+
+def test_a_terminal_hears_of_slow_work_and_a_pipe_does_not(monkeypatch, capsys):
+    def work(seconds):
+        with said_if_slow("making clips ...", after_s=0.05):
+            time.sleep(seconds)
+        return capsys.readouterr().err
+
+    assert work(0.5) == ""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    assert work(0.5) == "making clips ...\n"
+    assert work(0.0) == ""

@@ -10,6 +10,7 @@ from questsim.motion.clip import Clip
 from questsim.motion.mixture import is_mixture, load_mixture
 from questsim.motion.motion import Motion
 from questsim.motion.naming import named, place, split_parts, unique_names
+from questsim.waiting import said_if_slow
 
 if TYPE_CHECKING:
     from questsim.motion.library import Library
@@ -144,6 +145,7 @@ def _is_synthetic(part: str) -> bool:
     return part.partition(":")[0] == SYNTHETIC
 
 
+@said_if_slow("making embedded motions, which are then kept in the cache ...")
 def _synthetic(part: str, seed: int) -> list[Clip]:
     """All of ``synthetic``, the kinds in ``synthetic:KIND+KIND``, or random clips."""
     from questsim.motion.synthesis import random_clips as random
