@@ -14,7 +14,7 @@ TRAIN_HELP = ShortHelp(
     "user's headset and controllers. First a teacher learns, which sees the whole motion, then the "
     "policy itself (the student), which sees only the devices. docs/tutorial.md goes through it.",
     examples=(
-        ("--preset smoke --out runs/try --minutes 3", "a first try: learns to stay upright"),
+        ("--preset smoke --out runs/try --minutes 3", "a first try: begins to learn to stand"),
         ("--preset cpu --out runs/mine --minutes 30", "a training on two cores"),
         ("--preset cpu --out runs/mine --minutes 60 --resume", "continues it for 30 minutes more"),
     ),
