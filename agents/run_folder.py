@@ -9,7 +9,7 @@ import platform
 import shutil
 import tarfile
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import MISSING, Field, asdict, fields, is_dataclass
 from importlib import metadata
@@ -124,6 +124,41 @@ def note_resume(out: Path, args: Any, preset: Any, behind: Mapping[str, Any] | N
     }
     record["resumed"] = [*record.get("resumed", []), again]
     _write(out, record)
+
+
+class RunRecord:
+    """Writes a training's record when its first stage begins.
+
+    It is not written earlier, so that refused options or motions leave no run behind.
+
+    Args:
+        out: the folder of the run.
+        args, preset: options and preset.
+        data: see ``data_record``.
+        behind: returns the records of shipped policies, see ``start_run``.
+    """
+
+    def __init__(
+        self,
+        out: Path,
+        args: Any,
+        preset: Any,
+        data: dict[str, Any],
+        behind: Callable[[], Mapping[str, Any]],
+    ) -> None:
+        self._out, self._args, self._preset = out, args, preset
+        self._data, self._behind = data, behind
+        self._written = False
+
+    def begin(self) -> None:
+        """Write a new record, or add a resumed run to it; nothing from the second call on."""
+        if self._written:
+            return
+        if (self._out / RECORD).exists():
+            note_resume(self._out, self._args, self._preset, self._behind())
+        else:
+            start_run(self._out, self._args, self._preset, self._data, self._behind())
+        self._written = True
 
 
 def _write(out: Path, record: dict[str, Any]) -> None:

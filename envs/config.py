@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
 
+from envs.checks import Form, check_forms, is_number, is_whole
 from envs.objects import WorldObject
 from envs.pushes import Pushes
 from envs.randomisation import MAX_UNSCALED_M, Randomisation
@@ -16,7 +16,7 @@ from envs.starts import Starts
 from envs.terrain import Terrain
 from questsim.bodies import OwnBody
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M, PRESETS
-from questsim.errors import InputError, value_text
+from questsim.errors import InputError
 from questsim.reward import RewardConfig
 from questsim.sensors import DEVICES, SENSOR_SETS, SensorNoise
 
@@ -24,6 +24,65 @@ MAX_FUTURE_FRAMES = 6
 MAX_ERROR_M = 1e6
 MAX_SPREAD = 0.15
 SAMPLING = ("uniform", "failure", "kind")
+
+_SETTINGS = "a mapping of its fields"
+
+
+def _or_none(kind: type, other: str = _SETTINGS) -> Form:
+    """None or an instance of a class; ``gym.make`` takes ``other`` instead of the instance."""
+    return Form(f"None or {kind.__name__}", lambda v: v is None or isinstance(v, kind), other)
+
+
+def _two_numbers(value: Any) -> bool:
+    return isinstance(value, tuple) and len(value) == 2 and all(map(is_number, value))
+
+
+def _devices(value: Any) -> bool:
+    if not (isinstance(value, tuple) and len(value) == 2):
+        return False
+    return isinstance(value[0], str) and is_whole(value[1])
+
+
+_FLAG = Form("True or False", lambda v: isinstance(v, bool | np.bool_))
+_METRES = Form("metres", is_number)
+_FORMS = {
+    "sensors": Form("the name of a sensor set", lambda v: isinstance(v, str)),
+    "future_frames": Form("a whole number", is_whole),
+    "heights": Form(
+        "the least and the greatest stature in metres", lambda v: v is None or _two_numbers(v)
+    ),
+    "body_preset": Form(f"one of {', '.join(sorted(PRESETS))}", lambda v: v in [*PRESETS]),
+    "reward": Form("a RewardConfig", lambda v: isinstance(v, RewardConfig), _SETTINGS),
+    "privileged": _FLAG,
+    "privileged_frames": Form(
+        "whole numbers from 0 on",
+        lambda v: isinstance(v, tuple) and all(is_whole(k) and k >= 0 for k in v),
+    ),
+    "fixed_start": _FLAG,
+    "max_error_m": _METRES,
+    "self_collision": _FLAG,
+    "sampling": Form(f"one of {', '.join(SAMPLING)}", lambda v: v in [*SAMPLING]),
+    "noise": _or_none(SensorNoise),
+    "terrain": _or_none(Terrain, f"its name with options, such as 'rough:seed=3', or {_SETTINGS}"),
+    "height_scan": _FLAG,
+    "pushes": _or_none(Pushes, f"the least and the greatest force in newtons, or {_SETTINGS}"),
+    "objects": Form(
+        "a tuple of WorldObject",
+        lambda v: isinstance(v, tuple) and all(isinstance(each, WorldObject) for each in v),
+        "names, such as 'ball', or mappings of their fields",
+    ),
+    "randomisation": _or_none(Randomisation),
+    "starts": _or_none(Starts),
+    "unscaled_m": _METRES,
+    "body": _or_none(OwnBody, "a TOML file, or the name of an included body"),
+    "proportions": Form("a number", is_number),
+    "observe_proportions": _FLAG,
+    "teacher_devices": Form(
+        "the name of a sensor set and a number of future frames",
+        lambda v: v is None or _devices(v),
+    ),
+}
+"""The accepted values of each field of ``EnvConfig``."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +153,7 @@ class EnvConfig:
     teacher_devices: tuple[str, int] | None = None
 
     def __post_init__(self) -> None:
-        _check_forms(self)
+        check_forms(self, _FORMS)
         _check_devices(self.sensors, self.future_frames)
         if self.teacher_devices is not None:
             _check_devices(*self.teacher_devices)
@@ -194,81 +253,3 @@ def _check_own_body(config: EnvConfig) -> None:
             "EnvConfig",
             "kinematic systems estimate our avatar",
         )
-
-
-def _whole(value: Any) -> bool:
-    return isinstance(value, Integral) and not isinstance(value, bool)
-
-
-def _number(value: Any) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool)
-
-
-def check_count(name: str, value: Any) -> None:
-    """Reject what is not a whole number from 1 on.
-
-    Raises:
-        InputError: with the name of the argument.
-    """
-    if not _whole(value) or value < 1:
-        raise InputError(f"is {value_text(value)}; it takes a whole number from 1 on", name)
-
-
-def _check_forms(config: EnvConfig) -> None:
-    """Reject a field of the wrong type, with its name and the expected type."""
-
-    def check(
-        name: str, takes: str, good: Callable[[Any], bool], plainly: str | None = None
-    ) -> None:
-        value = getattr(config, name)
-        if not good(value):
-            fix = plainly and f"gym.make also takes {plainly}"
-            raise InputError(f"{name} is {value_text(value)}; it takes {takes}", "EnvConfig", fix)
-
-    for name in (
-        "privileged", "fixed_start", "self_collision", "height_scan", "observe_proportions",
-    ):  # fmt: skip
-        check(name, "True or False", lambda v: isinstance(v, bool | np.bool_))
-    check("sensors", "the name of a sensor set", lambda v: isinstance(v, str))
-    check("body_preset", f"one of {', '.join(sorted(PRESETS))}", lambda v: v in [*PRESETS])
-    check("sampling", f"one of {', '.join(SAMPLING)}", lambda v: v in [*SAMPLING])
-    check("future_frames", "a whole number", _whole)
-    check(
-        "teacher_devices",
-        "the name of a sensor set and a number of future frames",
-        lambda v: (
-            v is None
-            or (isinstance(v, tuple) and len(v) == 2 and isinstance(v[0], str) and _whole(v[1]))
-        ),
-    )
-    check("max_error_m", "metres", _number)
-    check("unscaled_m", "metres", _number)
-    check("proportions", "a number", _number)
-    check(
-        "heights",
-        "the least and the greatest stature in metres",
-        lambda v: v is None or (isinstance(v, tuple) and len(v) == 2 and all(map(_number, v))),
-    )
-    check(
-        "privileged_frames",
-        "whole numbers from 0 on",
-        lambda v: isinstance(v, tuple) and all(_whole(k) and k >= 0 for k in v),
-    )
-    mapping = "a mapping of its fields"
-    check("reward", "a RewardConfig", lambda v: isinstance(v, RewardConfig), mapping)
-    for name, kind, plainly in (
-        ("noise", SensorNoise, mapping),
-        ("terrain", Terrain, "its name with options, such as 'rough:seed=3', or " + mapping),
-        ("pushes", Pushes, "the least and the greatest force in newtons, or " + mapping),
-        ("randomisation", Randomisation, mapping),
-        ("starts", Starts, mapping),
-        ("body", OwnBody, "a TOML file, or the name of an included body"),
-    ):
-        good = lambda v, k=kind: v is None or isinstance(v, k)  # noqa: E731 -- one line for all
-        check(name, f"None or {kind.__name__}", good, plainly)
-    check(
-        "objects",
-        "a tuple of WorldObject",
-        lambda v: isinstance(v, tuple) and all(isinstance(each, WorldObject) for each in v),
-        "names, such as 'ball', or mappings of their fields",
-    )

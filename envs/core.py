@@ -14,7 +14,8 @@ import numpy as np
 from envs.actions import checked_actions
 from envs.avatar import avatar_of
 from envs.bodies import Bodies, models_of, on_their_bodies
-from envs.config import EnvConfig, check_count
+from envs.checks import check_count
+from envs.config import EnvConfig
 from envs.episode_random import Seeds, Streams
 from envs.initial_states import InitialStates, estimates_of
 from envs.kernel_arguments import Episodes

@@ -47,5 +47,5 @@ def info_of(sim: BatchSim, fresh: bool) -> dict[str, Any]:
 
 
 def masked(infos: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:
-    """Infos in the form of gymnasium's vector environments: ``_name`` masks who has ``name``."""
+    """Infos in the form of gymnasium's vector environments: ``_name`` is the mask of ``name``."""
     return infos | {f"_{name}": mask.copy() for name in infos}

@@ -41,42 +41,52 @@ def observation_layout(config: EnvConfig) -> dict[str, slice]:
     """
     avatar = avatar_of(config.body)
     dofs, links = len(avatar.dofs), len(avatar.links)
-    layout: dict[str, slice] = {}
-    at = 0
-    for name, size in (
-        ("joint_angles", dofs),
-        ("joint_velocities", dofs),
-        ("link_positions", 3 * links),
-        ("link_orientations", 6 * links),
-        ("link_linear_velocities", 3 * links),
-        ("link_angular_velocities", 3 * links),
-        ("contact_forces", 3 * len(FEET)),
-    ):
-        layout[name] = slice(at, at + size)
-        at += size
-    layout["o_sim"] = slice(0, at)
-    user = _user_size(config.sensors, config.future_frames)
-    layout["o_user"] = slice(at, at + user)
-    at += user
-    scale = 1 + (len(PARTS) if config.observe_proportions else 0)
-    layout["o_scale"] = slice(at, at + scale)
-    at += scale
+    layout = _consecutive(
+        0,
+        joint_angles=dofs,
+        joint_velocities=dofs,
+        link_positions=3 * links,
+        link_orientations=6 * links,
+        link_linear_velocities=3 * links,
+        link_angular_velocities=3 * links,
+        contact_forces=3 * len(FEET),
+    )
+    layout["o_sim"] = slice(0, observation_size(layout))
+    layout |= _consecutive(
+        observation_size(layout),
+        o_user=_user_size(config.sensors, config.future_frames),
+        o_scale=1 + (len(PARTS) if config.observe_proportions else 0),
+    )
     if config.privileged:
-        frames = len(config.privileged_frames) * (2 * dofs + 9 * links)
-        layout["privileged"] = slice(at, at + frames + 2 * dofs + 12 * links)
-        layout["reference_joint_angles"] = slice(at, at + dofs)
-        at += frames
-        layout["midway_joint_angles"] = slice(at, at + dofs)
-        layout["reference_torques"] = slice(at + dofs, at + 2 * dofs)
-        at += 2 * dofs
-        layout["tracking_errors"] = slice(at, at + 12 * links)
-        at += 12 * links
+        layout |= _privileged(observation_size(layout), len(config.privileged_frames), dofs, links)
     if config.height_scan:
-        layout["height_scan"] = slice(at, at + len(SCAN_POINTS))
-        at += len(SCAN_POINTS)
+        layout |= _consecutive(observation_size(layout), height_scan=len(SCAN_POINTS))
     if config.teacher_devices is not None:
-        layout["o_teacher"] = slice(at, at + _user_size(*config.teacher_devices))
+        user = _user_size(*config.teacher_devices)
+        layout |= _consecutive(observation_size(layout), o_teacher=user)
     return layout
+
+
+def _consecutive(at: int, **sizes: int) -> dict[str, slice]:
+    """Blocks of these sizes, one after another from ``at``."""
+    ends = at + np.cumsum(list(sizes.values()))
+    return {
+        name: slice(int(end) - size, int(end))
+        for (name, size), end in zip(sizes.items(), ends, strict=True)
+    }
+
+
+def _privileged(at: int, frames: int, dofs: int, links: int) -> dict[str, slice]:
+    """The block ``"privileged"`` from ``at``, and its parts."""
+    reference = frames * (2 * dofs + 9 * links)
+    parts = _consecutive(
+        at + reference,
+        midway_joint_angles=dofs,
+        reference_torques=dofs,
+        tracking_errors=12 * links,
+    )
+    whole = slice(at, observation_size(parts))
+    return {"privileged": whole, "reference_joint_angles": slice(at, at + dofs)} | parts
 
 
 def _user_size(sensors: str, future_frames: int) -> int:

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from envs.pushes import check_number, check_range
+from envs.checks import check_number, check_range
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
 from questsim.objects import ObjectShape

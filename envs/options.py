@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from envs.checks import is_number
 from envs.config import EnvConfig
 from envs.objects import WorldObject, objects_named
 from envs.pushes import Pushes
@@ -135,10 +136,6 @@ def _python(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.generic | np.ndarray) else value
 
 
-def _number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
 def _terrain(value: Any) -> Any:
     if isinstance(value, str):
         return terrain_named(value)
@@ -160,7 +157,7 @@ def _objects(value: Any) -> Any:
 
 
 def _pushes(value: Any) -> Any:
-    if _number(value):
+    if is_number(value):
         return Pushes(force_n=(value, value))
     if isinstance(value, Sequence) and not isinstance(value, str):
         return Pushes(force_n=tuple(value))  # type: ignore[arg-type]  # checked there
@@ -168,7 +165,7 @@ def _pushes(value: Any) -> Any:
 
 
 def _heights(value: Any) -> Any:
-    if _number(value):
+    if is_number(value):
         return (float(value), float(value))
     return tuple(value) if isinstance(value, list) else value
 
@@ -190,7 +187,7 @@ def _fields_of(kind: type[_T], value: Any, where: str) -> Any:
     values: dict[str, Any] = {}
     for field in fields(kind):  # type: ignore[arg-type]
         given = _python(value.get(field.name, field.default))
-        if _number(field.default) and not (_number(given) and np.isfinite(given)):
+        if is_number(field.default) and not (is_number(given) and np.isfinite(given)):
             raise InputError(f"is {_shown(given)}, not a number", f"{where} {field.name}")
         if field.name in value:
             values[field.name] = _ranged(given, field.default)
@@ -202,7 +199,7 @@ def _ranged(value: Any, default: Any) -> Any:
     if isinstance(value, list):
         return tuple(value)
     pair = isinstance(default, tuple) and len(default) == 2
-    return (value, value) if pair and _number(value) else value
+    return (value, value) if pair and is_number(value) else value
 
 
 _PLAIN: dict[str, Callable[[Any], Any]] = {

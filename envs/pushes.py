@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from envs.avatar import Avatar
+from envs.checks import check_range, is_whole
 from envs.episode_random import EpisodeRandom, Seeds, within
 from questsim.errors import InputError, value_text
 from questsim.motion.clip import FPS
@@ -47,56 +48,9 @@ class Pushes:
         if self.body not in LINKS:
             what = f"there is no link {self.body!r}"
             raise InputError(what, "pushes", f"choose from {', '.join(LINKS)}")
-        whole = isinstance(self.count, int) and not isinstance(self.count, bool)
-        if self.count is not None and not (whole and self.count >= 1):
+        if self.count is not None and not (is_whole(self.count) and self.count >= 1):
             what = f"count is {value_text(self.count)}, not a whole number from 1 on"
             raise InputError(what, "pushes", "leave them out")
-
-
-def check_range(
-    name: str,
-    low_high: tuple[float, float],
-    least: float,
-    most: float,
-    where: str,
-    *,
-    whole: bool = False,
-) -> None:
-    """Reject a range that is not ``least <= low <= high <= most``.
-
-    Args:
-        name, where: for the message.
-        low_high: the range.
-        least, most: its limits.
-        whole: whether it must be of whole numbers.
-
-    Raises:
-        InputError: with the name of the field.
-    """
-    try:
-        low, high = low_high
-        good = least <= low <= high <= most and not (whole and (low % 1 or high % 1))
-    except (TypeError, ValueError):
-        good = False
-    if not good:
-        raise InputError(
-            f"{name} is {value_text(low_high)}, not a range {'of whole numbers ' * whole}within "
-            f"{least:g} to {most:g}",
-            where,
-            "give the least and the greatest value",
-        )
-
-
-def check_number(name: str, value: Any, least: float, most: float, where: str) -> None:
-    """Reject what is not a number from ``least`` to ``most``.
-
-    Raises:
-        InputError: with the name of the field.
-    """
-    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if not (number and least <= value <= most):
-        what = f"{name} is {value_text(value)}, not a number from {least:g} to {most:g}"
-        raise InputError(what, where)
 
 
 class Pusher:

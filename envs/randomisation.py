@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from envs.checks import check_range
 from envs.episode_random import within
-from envs.pushes import check_range
 from questsim.skeleton import NUM_LINKS
 
 MAX_UNSCALED_M = 0.4

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from envs.avatar import Avatar
+from envs.checks import check_number
 from envs.episode_random import Drawing, EpisodeRandom
-from envs.pushes import check_number
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
@@ -119,7 +119,7 @@ class Estimates:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Whether there is an estimate ``(m,)`` bool, ``qpos (m, 40)``, ``qvel (m, 39)``.
 
-        The states are those of the 1.75 m body; where there is none they mean nothing.
+        The states are those of the 1.75 m body; they are undefined where a frame has no estimate.
         """
         has = frames < self._count[clips]
         rows = np.where(has, self._start[clips] + frames, 0)

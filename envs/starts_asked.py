@@ -7,12 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from envs.checks import is_whole
 from envs.reference import Reference
 from questsim.errors import InputError
-
-
-def _whole(value: Any) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def asked_start(
@@ -52,7 +49,7 @@ def _clip_index(reference: Reference, clip: Any, where: str) -> int:
             some = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
             raise InputError(f"no clip is named {clip[:80]!r}", where, f"there are {some}")
         return names.index(clip)
-    if not _whole(clip):
+    if not is_whole(clip):
         raise InputError(f"is {str(clip)[:80]!r}", where, "it takes a clip's name or its index")
     if not 0 <= int(clip) < len(names):
         raise InputError(f"is {clip}, not 0 to {len(names) - 1}", where)
@@ -62,7 +59,7 @@ def _clip_index(reference: Reference, clip: Any, where: str) -> int:
 def _first_frame(reference: Reference, clip: int, frame: Any, where: str) -> int:
     where = f"{where}['frame']"
     last = int(reference.end[clip] - reference.start[clip]) - 2
-    if not _whole(frame):
+    if not is_whole(frame):
         raise InputError(f"is {str(frame)[:80]!r}", where, "it takes a whole number")
     if not 0 <= int(frame) <= last:
         raise InputError(f"is {frame}, not 0 to {last} of clip {reference.names[clip]!r}", where)
@@ -127,7 +124,7 @@ def seeds_of(seed: Any, count: int) -> list[int | None]:
     """
     if seed is None:
         return [None] * count
-    if _whole(seed) and int(seed) >= 0:
+    if is_whole(seed) and int(seed) >= 0:
         return [int(seed) + i for i in range(count)]
     if isinstance(seed, np.ndarray):
         seed = seed.tolist()
@@ -136,7 +133,7 @@ def seeds_of(seed: Any, count: int) -> list[int | None]:
     if len(seed) != count:
         raise InputError(f"has {len(seed)} entries for {count} simulations", "seed")
     for i, one in enumerate(seed):
-        if one is not None and not (_whole(one) and int(one) >= 0):
+        if one is not None and not (is_whole(one) and int(one) >= 0):
             raise InputError(f"is {str(one)[:80]!r}, not a whole number from 0 on", f"seed[{i}]")
     return [None if one is None else int(one) for one in seed]
 

@@ -11,7 +11,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from envs.actions import checked_actions
-from envs.config import EnvConfig, check_count
+from envs.checks import check_count
+from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.gym import spaces_of
 from envs.info import info_arrays, masked

@@ -104,12 +104,6 @@ def world_matrices(local: Tensor) -> Tensor:
     return torch.stack(world, dim=-3)
 
 
-def local_matrices(world: Tensor) -> Tensor:
-    """Rotations in the parent ``(..., 22, 3, 3)`` of orientations; the root's stays."""
-    local = world[..., PARENTS, :, :].transpose(-1, -2) @ world
-    return torch.cat([world[..., :1, :, :], local[..., 1:, :, :]], dim=-3)
-
-
 def positions_from_root(world: Tensor, offsets: Tensor) -> Tensor:
     """Joint positions relative to the root ``(..., 22, 3)``.
 
@@ -189,9 +183,3 @@ def unit_dual_quat(dual: Tensor) -> Tensor:
     length = dual[..., :4].norm(dim=-1, keepdim=True).clamp_min(1e-8)
     real, other = dual[..., :4] / length, dual[..., 4:] / length
     return torch.cat([real, other - (real * other).sum(-1, keepdim=True) * real], dim=-1)
-
-
-def from_dual_quat(dual: Tensor) -> tuple[Tensor, Tensor]:
-    """Rotation ``(..., 4)`` and translation ``(..., 3)`` of unit dual quaternions ``(..., 8)``."""
-    rotation, translation = dual_quat_torch.to_rotation_translation(dual)
-    return rotation, translation

@@ -88,7 +88,7 @@ def at_least(least: float, **options: float | None) -> None:
         **options: values by name; None is ignored.
 
     Raises:
-        InputError: with the name of the first option that is smaller.
+        InputError: with the name of the first such option.
     """
     for name, value in options.items():
         if value is None:

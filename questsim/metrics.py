@@ -250,7 +250,7 @@ def evaluate(
         InputError: no rollouts.
     """
     if not rollouts:
-        raise InputError("no clips were evaluated", fix="check the motions that were asked for")
+        raise InputError("no clips were evaluated", fix="check the motions")
     scored = [(rollout, samples(rollout)) for rollout in rollouts]
     return {
         "schema": SCHEMA,

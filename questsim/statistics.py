@@ -202,7 +202,7 @@ def read_clips(where: Path) -> dict[str, dict[str, str]]:
     """The rows of an evaluation's ``clips.csv`` by clip.
 
     Raises:
-        InputError: there is none, or it is of something else.
+        InputError: the file is missing, or is not such a report.
     """
     file = where / "clips.csv" if where.is_dir() else where
     fix = "name a folder that evaluate.py --out wrote"

@@ -29,7 +29,7 @@ from agents.kinematic.recurrent.faults import EXACT, drawn
 from agents.kinematic.recurrent.features import ATOMS
 from agents.kinematic.recurrent.hmdposer import HmdPoserNet, HmdPoserSpec
 from agents.kinematic.recurrent.lgsik import PARTS, LgsikNet, LgsikSpec
-from agents.kinematic.recurrent.poser import _shape_error
+from agents.kinematic.recurrent.training import _shape_error
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.skeletal import MaskedConv, MaskedLinear, PlainMixing
 from agents.kinematic.sparseposer.training import _regularisation
@@ -170,7 +170,7 @@ def right_leg_before_its_head(net: LgsikNet, features: torch.Tensor) -> torch.Te
     return seen[0][:, :, list(PARTS).index("right_leg")]
 
 
-def test_without_graph_convolution_the_right_leg_knows_nothing_of_the_left_legs_sensor():
+def test_without_graph_convolution_the_right_leg_does_not_depend_on_the_left_legs_sensor():
     full, plain = lgsik(), lgsik(graph=False)
     assert len(layers(full, MaskedLinear)) == 3 and not layers(plain, MaskedLinear)
     assert plain.first.groups == len(PARTS)
@@ -231,7 +231,7 @@ def test_without_hands_in_head_their_numbers_are_not_read():
         assert torch.equal(before, after) is not reads
 
 
-def test_without_a_shape_head_everybody_has_the_mean_body():
+def test_without_a_shape_head_every_user_has_the_mean_body():
     module, _ = task_of("hmdposer", "spec.shape_head=false")
     _, shape = answers(module.net, FEATURES, TALL)
     assert not shape.any()
@@ -283,7 +283,7 @@ def test_without_skeletal_operations_every_joint_reaches_every_joint():
 
 
 @pytest.mark.parametrize("skeletal", [True, False])
-def test_an_unpooled_toe_hears_of_the_hands_only_without_the_skeleton(skeletal):
+def test_an_unpooled_toe_depends_on_the_hands_only_without_the_skeleton(skeletal):
     module, _ = task_of("sparseposer", f"spec.skeletal={str(skeletal).lower()}")
     generator, channels = module.generator, 8
     x = torch.zeros(1, 14 * channels, 4)
@@ -450,7 +450,7 @@ def test_one_command_trains_and_scores_the_full_system_and_all_variants(
     ]
 
 
-def test_some_variants_alone_can_be_asked_for_and_the_others_added_later(library, tmp_path):
+def test_some_variants_can_run_alone_and_the_others_be_added_later(library, tmp_path):
     out = tmp_path / "out"
     args = arguments("lgsik", library, out, steps=1, variants=("no-graph",))
     assert ablations(args) == 0
@@ -468,7 +468,7 @@ def test_some_variants_alone_can_be_asked_for_and_the_others_added_later(library
         ablations(args)
 
 
-def test_a_stop_during_a_training_leaves_what_can_be_gone_on_with(library, tmp_path, monkeypatch):
+def test_ablations_stopped_during_a_training_can_be_continued(library, tmp_path, monkeypatch):
     out = tmp_path / "out"
     monkeypatch.setattr("agents.comparison.ablated.train_system", lambda args: 130)
     args = arguments("dragposer", library, out)
@@ -495,7 +495,7 @@ def test_a_stop_during_a_training_leaves_what_can_be_gone_on_with(library, tmp_p
         (["--agent", "lgsik", "--out", "OUT", "--steps", "1", "--resume"], "no run to resume"),
     ],
 )
-def test_what_cannot_be_done_is_told_in_one_line_and_leaves_nothing(
+def test_ablations_that_cannot_run_are_refused_in_one_line_and_leave_no_files(
     options, message, library, tmp_path, capsys
 ):
     out = tmp_path / "out"
@@ -508,7 +508,7 @@ def test_what_cannot_be_done_is_told_in_one_line_and_leaves_nothing(
     assert not out.exists()
 
 
-def test_a_difference_is_told_where_both_have_the_figure():
+def test_a_difference_is_given_only_where_both_have_the_figure():
     full = Row("full", "6", 10, {}, {"pos_cm": 2.0, "ee_cm": None}, 1.0)
     other = Row("less", "6", 5, {}, {"pos_cm": 3.5, "ee_cm": 1.0, "rot_deg": 4.0}, 1.0)
     assert differences(other, full, "pooled") == {"pos_cm": 1.5, "ee_cm": None, "rot_deg": None}

@@ -32,7 +32,7 @@ def fastest_hand(clip: Clip) -> float:
 
 
 @pytest.mark.parametrize("kind", ACTIONS)
-def test_people_could_do_it(kind: str) -> None:
+def test_synthetic_actions_are_physically_possible_for_a_person(kind: str) -> None:
     limits = build_body().model.jnt_range[1:]
     # Pushing off and landing last a frame or two: there the floor's reaction is known less well.
     most = (0.25, 0.07) if kind == "jump" else (0.01, 0.02)

@@ -16,7 +16,7 @@ def joint(name: str) -> int:
     return JOINTS.index(name)
 
 
-def test_someone_at_rest_stands_in_a_t_pose_on_the_floor_facing_x(tmp_path):
+def test_zero_rotations_stand_in_a_t_pose_on_the_floor_facing_x(tmp_path):
     motion, report = read_motion(write_amass(tmp_path / "a.npz"))
     position, _ = motion.forward_kinematics()
     body = position[0] - position[0, 0]
@@ -132,7 +132,7 @@ def test_a_wrong_file_is_refused_with_the_reason(changes, reason, tmp_path):
         read_motion(path)
 
 
-def test_what_is_no_npz_is_refused(tmp_path):
+def test_a_file_that_is_not_npz_is_refused(tmp_path):
     (tmp_path / "a.npz").write_bytes(b"not a zip archive")
     with pytest.raises(InputError, match="cannot be read"):
         read_amass(tmp_path / "a.npz")

@@ -53,7 +53,7 @@ def test_a_stage_folder_stands_for_what_it_kept_but_its_begin(tmp_path: Path) ->
         ("unstated", "does not state the steps"),
     ],
 )
-def test_what_cannot_be_averaged_is_refused_and_nothing_written(
+def test_policies_that_cannot_be_averaged_are_refused_and_nothing_is_written(
     tmp_path: Path, case: str, says: str
 ) -> None:
     a, b = saved(tmp_path / "a", 1.0, 1), saved(tmp_path / "b", 2.0, 2)

@@ -44,7 +44,7 @@ def test_episodes_begin_in_the_estimate_of_their_frame_and_else_in_the_reference
         assert -1e-4 < sim.foot_clearance[1].min() < 0.03
 
 
-def test_estimates_that_cannot_be_are_refused() -> None:
+def test_estimates_that_do_not_fit_their_motions_are_refused() -> None:
     config = EnvConfig(starts=Starts(estimate=0.5))
     with pytest.raises(InputError, match="belong together"):
         BatchSim(CLIPS, config)
@@ -94,7 +94,7 @@ def test_differences_of_stature_are_drawn_for_each_simulation() -> None:
         EnvConfig(randomisation=drawn, body=read_body("gymnasium-humanoid"))
 
 
-def test_first_answers_are_near_their_user() -> None:
+def test_first_estimates_are_near_their_user() -> None:
     (estimate,) = first_answers(CLIPS[:1]).values()
     assert estimate.height_m == CLIPS[0].height_m and 2 < len(estimate) < 10
     apart = np.linalg.norm(estimate.link_position[0] - CLIPS[0].link_position[0], axis=-1)

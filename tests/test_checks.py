@@ -127,7 +127,7 @@ def test_free_fall_is_measured_and_tells_a_wrong_frame_rate(fps, person):
         refuse(slow, "jump")
 
 
-def test_who_never_leaves_the_floor_shows_no_free_fall(person):
+def test_a_person_who_never_leaves_the_floor_shows_no_free_fall(person):
     motion, report = read_motion(person)
     assert report.gravity is None
     # Standing on a box for a second is no flight either.

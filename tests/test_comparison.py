@@ -110,7 +110,7 @@ def test_a_comparison_without_what_it_needs_is_refused(options, message, tmp_pat
     assert not (tmp_path / "there").exists()
 
 
-def test_an_evaluation_of_nobody_is_refused():
+def test_a_comparison_without_agents_is_refused():
     with pytest.raises(InputError, match="the agent's name is empty"):
         evaluate(EvaluateArgs(agent=""))
 
@@ -322,7 +322,7 @@ def test_a_faulty_tracker_is_silent_for_a_hundred_frames_and_one_always_reports(
     assert np.array_equal(faulty(seen, 0.0, 0).present, seen.present)
 
 
-def test_a_figure_there_is_nothing_to_average_for_is_a_dash(tmp_path):
+def test_a_figure_with_nothing_to_average_is_a_dash(tmp_path):
     row = Row("a", "6", 10, {"pos_cm": None}, {"pos_cm": None}, 1.0)
     assert "| a | 6 | - | 10 | - | 1.00 |" in table(
         [row], ["pos_cm", "parameters", "mmac", "ms"], "equal"

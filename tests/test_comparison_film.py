@@ -96,7 +96,7 @@ def test_without_opengl_the_table_is_written_and_one_line_says_why_there_is_no_f
 
 
 @pytest.mark.parametrize("function", [compare, evaluate])
-def test_clips_nobody_has_are_refused_before_anything_is_computed(library, tmp_path, function):
+def test_unknown_clip_names_are_refused_before_anything_is_computed(library, tmp_path, function):
     out = tmp_path / "there"
     filmed = {"motions": library, "out": out, "video": True, "video_clips": ("nobody",)}
     one = CompareArgs(agents=("ik",), threads=1, **filmed)
@@ -124,7 +124,7 @@ def test_an_estimate_that_floats_or_skates_does_so_over_the_users_floor():
     assert np.ptp(moved[:, 0], axis=0).max() < 1e-6
 
 
-def test_everybody_does_the_same_frame_and_is_seen_above_the_labels():
+def test_all_avatars_show_the_same_frame_above_the_labels():
     film = scene()
     for frame in range(film.frames):
         poses = film.poses(frame)
@@ -139,7 +139,7 @@ def test_everybody_does_the_same_frame_and_is_seen_above_the_labels():
             assert y.min() > 0.05 * SMALL.height and y.max() < 0.82 * SMALL.height
 
 
-def test_the_ghost_is_hidden_by_who_does_as_the_user_does():
+def test_an_avatar_in_the_users_pose_hides_the_ghost():
     film = scene()
     ghost, own = film.poses(3)[2], film.poses(3)[1]
     camera = film.cameras[3]
@@ -157,7 +157,7 @@ def test_the_last_picture_of_a_lost_agents_strip_is_its_last_frame():
     assert worst.moments(user, user)[-1] == len(user) - 1
 
 
-def test_labels_stand_below_their_figures_and_tell_the_error():
+def test_labels_stand_below_their_avatars_and_show_the_error():
     film = scene()
     labels = film.labels(4)
     assert [label.lines[0] for label in labels] == ["user", "ik", "questsim"]
@@ -169,7 +169,7 @@ def test_labels_stand_below_their_figures_and_tell_the_error():
     assert [label.x for label in labels] == pytest.approx(list(x), abs=6.0)
 
 
-def test_who_is_lost_leaves_the_picture_and_its_ghost_goes_on_alone():
+def test_a_lost_avatar_leaves_the_picture_and_its_ghost_continues():
     film = scene(lost_after=5)
     before, after = film.labels(4)[2], film.labels(5)[2]
     assert before.lines[2] == "5.0 cm" and not before.alarm

@@ -62,7 +62,7 @@ def test_every_clip_is_unpacked_verified_and_credited(tiny, tmp_path, capsys):
     assert is_fetched("tiny")
 
 
-def test_what_is_there_is_kept_and_only_the_rest_is_unpacked(tiny, tmp_path, capsys):
+def test_clips_already_unpacked_are_kept_and_only_the_others_are_unpacked(tiny, tmp_path, capsys):
     names = sorted(tiny)
     part = archive(tmp_path / "part.zip", {name: tiny[name] for name in names[:2]})
     with pytest.raises(InputError, match=f"1 of 3 clips are missing, e.g. {names[2]}"):

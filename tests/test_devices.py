@@ -69,7 +69,7 @@ def test_poses_come_back_from_every_convention(convention, position, quat):
         ({"headset": "standing"}, "not made of numbers"),
     ],
 )
-def test_what_is_no_pose_is_refused_with_the_device_named(poses, says):
+def test_an_invalid_pose_is_refused_with_its_devices_name(poses, says):
     with pytest.raises(InputError, match=says):
         DeviceFrame.of(0.0, poses)
 

@@ -52,7 +52,7 @@ def test_the_observation_has_475_numbers_by_name() -> None:
     assert observation_layout(EnvConfig(future_frames=0))["o_scale"].stop == 312 + 27 + 1
 
 
-def test_the_observation_is_what_numpy_makes_of_the_state() -> None:
+def test_the_observation_equals_a_numpy_computation_from_the_state() -> None:
     env = QuestVecEnv(CLIPS, EnvConfig(), num_envs=3, seed=1)
     env.reset()
     for action in actions(3, 8):
@@ -218,7 +218,7 @@ def test_a_falling_avatar_terminates_and_a_finished_clip_truncates() -> None:
     assert not np.array_equal(infos[0]["terminal_observation"], obs[0])
 
 
-def test_a_tracker_sees_the_pose_midway_and_what_the_motion_takes() -> None:
+def test_a_tracker_observes_the_pose_midway_and_the_torques_of_the_motion() -> None:
     sim = BatchSim(CLIPS[:1], EnvConfig(fixed_start=True, privileged=True, heights=(1.4, 1.4)))
     sim.reset()
     sim.step(np.zeros((1, 33)))
@@ -228,7 +228,7 @@ def test_a_tracker_sees_the_pose_midway_and_what_the_motion_takes() -> None:
     np.testing.assert_allclose(seen[sim.layout["reference_torques"]], 0.8 * takes, atol=1e-5)
 
 
-def test_a_tracker_sees_what_each_link_lacks() -> None:
+def test_a_tracker_observes_the_error_of_each_link() -> None:
     sim = BatchSim(CLIPS[:1], EnvConfig(fixed_start=True, privileged=True, heights=(1.6, 1.6)))
     sim.reset()
     part = sim.layout["tracking_errors"]
@@ -278,7 +278,7 @@ def test_physics_that_is_not_finite_ends_the_episode_and_is_counted() -> None:
     assert not dones[1]
 
 
-def test_terms_that_are_not_finite_count_as_nothing_and_show_nothing() -> None:
+def test_terms_that_are_not_finite_are_zero_in_reward_and_info() -> None:
     sim = BatchSim(CLIPS, EnvConfig(fixed_start=True))
     sim.reset()
     sim.qpos[1, 8] = np.nan

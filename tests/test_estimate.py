@@ -41,7 +41,7 @@ def test_an_estimate_is_a_library_of_motions_and_clips_named_after_the_system(tm
         (("--agent", "questsim"), "is not a kinematic system"),
     ],
 )
-def test_what_cannot_estimate_is_refused_in_one_line(options, message, tmp_path, capsys):
+def test_agents_that_do_not_estimate_are_refused_in_one_line(options, message, tmp_path, capsys):
     code, out = estimate(tmp_path, *options)
     told = capsys.readouterr().err
     assert code == 2 and message in told and told.count("\n") == 1

@@ -78,7 +78,7 @@ def test_short_clip_is_followed_to_its_end_and_a_long_one_until_the_fall(clips):
     assert long.link_error_m[-1] > 0.5 > long.link_error_m[-2]
 
 
-def test_what_is_rolled_out_does_not_depend_on_the_batch(clips, monkeypatch):
+def test_a_rollout_does_not_depend_on_its_batch(clips, monkeypatch):
     together = roll_out(ZeroAgent(), clips, START)
     monkeypatch.setattr("agents.evaluation.rollout.BATCH_CLIPS", 1)
     alone = roll_out(ZeroAgent(), clips, START)

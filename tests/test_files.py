@@ -23,7 +23,7 @@ def test_a_file_appears_when_it_is_whole_and_others_may_read_it(tmp_path):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
-def test_what_was_there_stays_if_writing_fails(error, tmp_path):
+def test_the_old_file_stays_if_writing_fails(error, tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("old")
     with pytest.raises(error), whole_file(path) as fresh:

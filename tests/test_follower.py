@@ -467,7 +467,7 @@ def test_a_calibrated_user_is_seen_as_the_avatar_carries_devices():
     assert rot.angle_between(pose.quat, want.quat) < np.radians(4.0)
 
 
-def test_a_given_stature_tells_where_the_floor_is():
+def test_the_floor_follows_from_a_given_stature():
     frames, _ = stream(USER, [])
     lifted = [moved(frame, [0.0, 0.0, -1.2]) for frame in frames]
     calibration = calibrate(lifted, height_m=1.75)
@@ -510,7 +510,7 @@ def test_a_calibration_comes_back_from_its_file(tmp_path):
         (lambda frames: [swapped(f) for f in frames], "away from the arms"),
     ],
 )
-def test_a_user_who_cannot_be_measured_is_told_why(change, says):
+def test_a_failed_calibration_gives_the_reason(change, says):
     frames, _ = stream(USER, [])
     with pytest.raises(InputError, match=says):
         calibrate(change(frames))

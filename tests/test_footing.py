@@ -45,7 +45,7 @@ def test_a_foot_that_slides_as_it_stands_goes_from_place_to_place() -> None:
     assert ((first[moving] < rows) & (rows <= last[moving])).all()
 
 
-def test_who_stands_stays_and_who_walks_does_not() -> None:
+def test_feet_of_a_standing_person_stay_and_those_of_a_walking_one_do_not() -> None:
     walking = load_motions("synthetic:walk")[3]
     steps = footsteps_of([c.scaled(1.75) for c in (STANDING, walking, gliding_clip())])
     end = len(STANDING)

@@ -261,7 +261,7 @@ def test_bad_deepmimic_files_are_refused_in_one_line(tmp_path, text, message):
         read_motion(path)
 
 
-def test_what_is_no_zip_or_has_no_motion_in_it_is_refused(tmp_path, monkeypatch):
+def test_an_archive_that_is_broken_or_has_no_motion_is_refused(tmp_path, monkeypatch):
     monkeypatch.setenv("QUESTSIM_CACHE", str(tmp_path / "cache"))
     (tmp_path / "a.zip").write_bytes(b"PK nothing")
     with pytest.raises(InputError, match="cannot be unpacked"):

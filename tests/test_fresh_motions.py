@@ -73,7 +73,7 @@ def test_variations_change_while_a_training_goes_on_and_when_it_is_resumed(clips
         ({"vary": 0.5, "redraw": 0}, "--redraw: is 0, not at least 1"),
     ],
 )
-def test_shares_that_cannot_be_are_refused_and_leave_no_run(clips, tmp_path, options, message):
+def test_shares_out_of_range_are_refused_and_leave_no_run(clips, tmp_path, options, message):
     with pytest.raises(InputError, match=message):
         train(tiny(tmp_path / "run", **options))
     assert not (tmp_path / "run").exists()

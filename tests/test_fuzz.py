@@ -81,7 +81,7 @@ def own(path: Path, *lines: str) -> Path:
         (" " * 200_000, "line 2: the line is too long"),
     ],
 )
-def test_recordings_that_no_parser_stands_are_refused(line, reason, tmp_path):
+def test_recordings_that_would_overload_a_parser_are_refused(line, reason, tmp_path):
     with pytest.raises(InputError, match=reason):
         read_recording(own(tmp_path / "r.jsonl.gz", line))
 

@@ -90,7 +90,7 @@ def test_each_environment_of_a_vector_has_a_seed_of_its_own() -> None:
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_the_batch_does_what_gymnasiums_own_vector_of_single_environments_does(
+def test_the_batch_equals_gymnasiums_vector_of_single_environments(
     mode: AutoresetMode,
 ) -> None:
     one_size: Any = {"heights": 1.75}

@@ -127,7 +127,7 @@ BAD_YAML = ["2001-13-45", "[" * 3000 + "]" * 3000, "9" * 5000, "a: [", "- 1"]
 
 
 @pytest.mark.parametrize("text", BAD_YAML[:4], ids=["date", "deep", "digits", "open"])
-def test_what_is_no_yaml_is_refused_as_that(text):
+def test_a_file_that_is_not_yaml_is_refused(text):
     with pytest.raises(ValueError, match="YAML"):
         parse_yaml(text)
 
@@ -143,7 +143,7 @@ def test_a_bad_description_is_one_line(tmp_path, text, capsys):
 
 
 @pytest.mark.parametrize("size", [-1, 0, 10**13, "x", 1.5])
-def test_sizes_that_cannot_be_are_refused_before_anything_is_made(tmp_path, size):
+def test_impossible_sizes_are_refused_before_anything_is_allocated(tmp_path, size):
     save_policy(tmp_path, small_policy(), Needs(), {})
     card = yaml.safe_load((tmp_path / "policy.yaml").read_text())
     card["network"]["hidden"] = [size]
@@ -165,7 +165,7 @@ def test_sizes_that_cannot_be_are_refused_before_anything_is_made(tmp_path, size
         "stages.teacher.policy.hidden=[0]",
     ],
 )
-def test_values_that_no_preset_can_work_with_leave_no_run(tmp_path, assignment, capsys):
+def test_impossible_preset_values_are_refused_and_leave_no_run(tmp_path, assignment, capsys):
     with pytest.raises(InputError, match="--set"):
         with_overrides(PRESETS["smoke"], [assignment])
     out = tmp_path / "run"
@@ -174,13 +174,13 @@ def test_values_that_no_preset_can_work_with_leave_no_run(tmp_path, assignment, 
     assert not out.exists()
 
 
-def test_messages_repeat_only_so_much_of_what_was_given():
+def test_messages_quote_only_a_short_part_of_the_input():
     message = str(InputError(f"there is no {'x' * 5000!r}", "y" * 5000, "z " * 5000))
     assert len(message) < 1500
     assert "x" * 201 not in message
 
 
-def test_what_draws_nothing_needs_no_opengl(tmp_path):
+def test_commands_that_draw_nothing_need_no_opengl(tmp_path):
     code = "import questsim, mujoco; from envs.core import BatchSim; print('fine')"
     environment = os.environ | {"MUJOCO_GL": "osmesa", "LD_LIBRARY_PATH": str(tmp_path)}
     # Without the library, whether or not this machine has it.

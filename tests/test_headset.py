@@ -218,7 +218,7 @@ def test_messages_that_are_no_frames_are_refused_in_words_and_the_driver_stays(t
     asyncio.run(run())
 
 
-def test_client_that_goes_on_sending_rubbish_is_sent_away():
+def test_a_client_that_keeps_sending_invalid_messages_is_disconnected():
     async def run():
         async with served() as (_, session, client, address):
             async with connect(client, address) as socket:
@@ -370,7 +370,7 @@ def test_lost_connection_starts_neither_calibration_nor_avatar_anew(known, state
     assert follower.used == (known is not None)
 
 
-def test_user_who_moves_is_asked_to_stand_still_again():
+def test_a_user_who_moves_during_calibration_is_asked_to_stand_still():
     said = []
     with LiveSession(PoseOfHead(), said.append) as session:  # type: ignore[arg-type]
         session.begin()

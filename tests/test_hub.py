@@ -64,7 +64,9 @@ def test_names_that_cannot_be_used_are_refused(server):
             resolve(name)
 
 
-def test_publishing_what_may_not_be_published_is_refused(server, tmp_path, monkeypatch, capsys):
+def test_weights_without_a_licence_or_a_valid_token_are_not_published(
+    server, tmp_path, monkeypatch, capsys
+):
     assert main(["publish", "zero", "hf:me/zero"]) == 2
     assert "has no weights to publish" in capsys.readouterr().err
     from agents.loading import load_agent

@@ -54,7 +54,7 @@ def test_torques_are_of_the_body_of_the_clips_height(height: float) -> None:
     assert own / middle == pytest.approx((height / 1.75) ** 4, rel=0.1)
 
 
-def test_a_chair_carries_who_sits() -> None:
+def test_inverse_dynamics_of_a_seated_clip_is_carried_by_the_chair() -> None:
     """Feet alone cannot carry a seated person: the centre of mass is behind the heels."""
     clip, dynamics = seated_clips()[0], InverseDynamics()
     sits = clip.qpos[:, 2] < 0.55

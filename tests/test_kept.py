@@ -30,7 +30,7 @@ def fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]
     synthetic._kept_clip.cache_clear()
 
 
-def test_only_what_is_asked_for_is_made_and_only_once(fresh: list[str]) -> None:
+def test_only_requested_clips_are_made_and_only_once(fresh: list[str]) -> None:
     first = load_motions("synthetic:stand")
     assert fresh == ["stand"] * 3
     again = load_motions("synthetic:stand")

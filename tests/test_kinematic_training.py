@@ -175,7 +175,7 @@ def test_motions_that_are_too_short_are_refused_and_leave_no_run(library, tmp_pa
     assert not (tmp_path / "run" / "run.yaml").exists()
 
 
-def test_a_training_starts_with_the_weights_of_an_earlier_one_and_its_card_tells_both(
+def test_a_training_starts_with_the_weights_of_an_earlier_one_and_its_card_names_both(
     library, tmp_path
 ):
     first, second = tmp_path / "first", tmp_path / "second"
@@ -274,7 +274,7 @@ def test_a_shipped_system_loads_by_name_and_answers_as_the_run_does(shipped, mon
     }  # fmt: skip
 
 
-def test_a_run_records_what_its_shipped_start_was_and_its_card_tells_that(
+def test_a_run_and_its_card_record_the_shipped_system_it_started_from(
     shipped, monkeypatch, tmp_path
 ):
     weights = tmp_path / "weights"
@@ -293,7 +293,7 @@ def test_a_run_records_what_its_shipped_start_was_and_its_card_tells_that(
     assert told["commands"][1].endswith("--start runs/feet")
 
 
-def test_the_card_of_a_system_tells_data_licence_command_seed_time_and_figures(shipped):
+def test_the_card_of_a_system_has_data_licence_command_seed_time_and_figures(shipped):
     card = (shipped / "weights" / "feet" / "README.md").read_text()
     assert "| licence | MIT |" in card and "| seed | 3 |" in card
     assert "generator 2 steps, 0 min; ik 2 steps, 0 min" in card

@@ -145,7 +145,7 @@ def test_learning_rate_follows_the_kl_divergence():
     assert fixed.actor_rate == pytest.approx(1e-4)
 
 
-def test_truncated_episodes_are_worth_what_the_critic_says_of_their_last_state():
+def test_truncated_episodes_are_bootstrapped_with_the_critics_value_of_their_last_state():
     env = FakeVecEnv(2)
     env.episode_frames = 16
     ppo = small_ppo(env, reward_scale=1.0)

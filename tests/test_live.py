@@ -207,7 +207,7 @@ def test_a_change_of_speed_goes_on_from_where_it_is():
         {"colour": "red"},
     ],
 )
-def test_what_cannot_be_is_refused_in_one_line_and_changes_nothing(wish):
+def test_impossible_requests_are_refused_in_one_line_and_change_nothing(wish):
     live = session()
     before = advance(live, 20)
     with pytest.raises(InputError) as error:
@@ -284,16 +284,19 @@ def test_same_settings_same_bits():
 
 def test_the_runner_keeps_time_and_stops():
     live = session()
+    began = time.monotonic()
     with Runner(live) as runner:
-        time.sleep(1.0)
-        assert runner.running
+        while live.snapshot().step < 18:
+            assert runner.running and time.monotonic() < began + 60
+            time.sleep(0.02)
     steps = live.snapshot().step
-    assert 5 <= steps <= 40  # a busy machine may be late, but never early
+    # A busy machine may be late, but never early.
+    assert steps <= FPS * (time.monotonic() - began) + 4
     time.sleep(0.1)
     assert live.snapshot().step == steps
 
 
-def test_a_failure_of_the_simulation_is_told_and_ends_the_watching(monkeypatch):
+def test_a_failure_of_the_simulation_is_shown_and_ends_the_page(monkeypatch):
     live = session()
     monkeypatch.setattr(live, "advance", lambda: 1 / 0)
     stop = threading.Event()

@@ -102,7 +102,7 @@ def test_single_poses_are_put_on_the_avatar_as_whole_motions_are(floor_m):
         np.testing.assert_allclose(position[0], whole.link_position[frame], atol=1e-3)
 
 
-def test_what_floats_or_sinks_keeps_its_height_over_the_floor():
+def test_floating_and_sinking_poses_keep_their_height_over_the_floor():
     motion = to_motion(CLIPS[0])
     put = StreamRetargeter(motion, 1.75)
     pose = single(motion, 20)
@@ -163,7 +163,7 @@ def test_a_user_of_another_height_has_other_devices_and_another_avatar():
     assert pelvises[1] / pelvises[0] == pytest.approx(1.4 / 1.75, abs=0.02)
 
 
-def test_a_stream_that_begins_within_a_clip_is_told_nothing_of_before():
+def test_a_stream_that_begins_within_a_clip_does_not_see_earlier_frames():
     system = FarAway()
     user = to_motion(CLIPS[0])
     stream = PoseStream(system, user, 1.75, "H+2C")
@@ -342,7 +342,7 @@ def test_play_waits_for_the_first_checkpoint_and_says_so(tmp_path, monkeypatch, 
     time.sleep(0.1)
     assert not found
     checkpoint(tmp_path / "network" / "last", 1, 1)
-    thread.join(10.0)
+    thread.join(60.0)
     assert [each.folder for each in found] == [tmp_path / "network" / "last"]
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and "no checkpoint yet" in error

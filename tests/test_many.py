@@ -41,7 +41,7 @@ def mixed(tmp_path) -> Path:
     return folder
 
 
-def test_import_skips_and_names_what_cannot_be_used(mixed, tmp_path, capsys):
+def test_import_skips_and_names_files_that_cannot_be_used(mixed, tmp_path, capsys):
     out = tmp_path / "out.npz"
     (mixed / "notes.docx").write_text("hello")
     # Also what a shell's * adds, and a file that is not there.

@@ -19,8 +19,7 @@ from agents.policy.checkpoint import load_resume
 from agents.policy.policy_agent import PolicyAgent
 from agents.shipping.provenance import commands, options_of, stages_behind
 from agents.shipping.ship import ShipArgs, ship
-from agents.training import rollout_worker
-from agents.training import train_policy as training
+from agents.training import rollout_worker, run_stage, train_policy
 from agents.training.options import TrainArgs
 from agents.training.train_policy import train
 from envs import BatchSim, EnvConfig, Pushes, Randomisation, Terrain
@@ -53,7 +52,7 @@ def test_a_given_share_of_episodes_is_on_level_floor_and_the_rest_evenly_on_tile
         assert (tile[:, 1] == level).mean() == pytest.approx(0.25, abs=0.03)
 
 
-def test_who_begins_on_level_floor_stays_on_it() -> None:
+def test_an_episode_that_begins_on_level_floor_stays_on_it() -> None:
     clip = gliding_clip(3.0, frames=144)  # 12 m
     sim = BatchSim([clip], EnvConfig(terrain=MIXED), num_envs=40)
     sim.reset()
@@ -86,7 +85,7 @@ def test_a_course_is_as_hard_as_its_difficulty() -> None:
     np.testing.assert_allclose(half, 0.5 * whole, atol=1e-7)
 
 
-def test_a_tile_with_an_option_that_is_none_is_refused() -> None:
+def test_a_tile_with_an_unknown_option_is_refused() -> None:
     with pytest.raises(InputError, match="'amplitude=1' is not an option"):
         Terrain("course", tiles=("rough:amplitude=1",))
     with pytest.raises(InputError, match=r"flat_share is 1\.5"):
@@ -138,7 +137,7 @@ def test_a_teacher_begun_with_a_shipped_one_is_not_mistaken_for_it(
 @pytest.fixture
 def clips(monkeypatch):
     found = [swaying_clip(f"sway{i}", frames=40, height_m=1.6 + 0.1 * i) for i in range(3)]
-    monkeypatch.setattr(training, "load_clips", lambda args: found)
+    monkeypatch.setattr(train_policy, "load_clips", lambda args: found)
     return found
 
 
@@ -161,7 +160,7 @@ def test_teacher_and_student_learn_on_mixed_ground_under_pushes(
     clips, tmp_path, monkeypatch
 ) -> None:
     made: list[EnvConfig] = []
-    vec_env, sim = rollout_worker.QuestVecEnv, training.evaluation_sim
+    vec_env, sim = rollout_worker.QuestVecEnv, run_stage.evaluation_sim
 
     def see_env(clips, config, *rest, **others):
         made.append(config)
@@ -172,7 +171,7 @@ def test_teacher_and_student_learn_on_mixed_ground_under_pushes(
         return sim(clips, config, *rest, **others)
 
     monkeypatch.setattr(rollout_worker, "QuestVecEnv", see_env)
-    monkeypatch.setattr(training, "evaluation_sim", see_sim)
+    monkeypatch.setattr(run_stage, "evaluation_sim", see_sim)
     out = tmp_path / "run"
     assert train(tiny(out, **WILD)) == 0
     assert len(made) == 4  # of teacher and student, to learn and to compare checkpoints

@@ -140,19 +140,19 @@ def test_euler_angles_turn_about_z_then_x_then_y():
     assert unity_euler(quat[[1, 2, 3, 0]]) == pytest.approx([20.0, 50.0, -30.0])
 
 
-def test_nobody_listening_does_not_disturb():
+def test_osc_without_a_receiver_does_not_disturb():
     sender = VmcPerformer(Destination("127.0.0.1", 9))
     for _ in range(5):
         sender.send(pose_of())
 
 
 @pytest.mark.parametrize("text", ["host.invalid:9000", "127.0.0.1:0", "127.0.0.1:x", "224.0.0.1"])
-def test_target_that_is_no_address_is_refused(text):
+def test_a_target_that_is_not_an_address_is_refused(text):
     with pytest.raises(InputError, match="--vmc"):
         Destination.of(text, 39539, "--vmc")
 
 
-def test_target_is_this_machine_unless_told():
+def test_the_default_target_is_this_machine():
     assert Destination.of("", 39539, "--vmc") == Destination("127.0.0.1", 39539)
     assert Destination.of(":9001", 39539, "--vmc") == Destination("127.0.0.1", 9001)
 

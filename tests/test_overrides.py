@@ -57,6 +57,6 @@ def test_a_warm_up_can_be_turned_off_where_the_preset_has_one() -> None:
         ("stages.finetune.learning.final_kl=low", "'low' is not a number"),
     ],
 )
-def test_what_does_not_fit_is_refused_with_the_path(assignment: str, message: str) -> None:
+def test_values_that_do_not_fit_are_refused_with_their_path(assignment: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         with_overrides(CPU, [assignment])

@@ -185,7 +185,7 @@ def test_a_kinematic_system_is_chosen_and_a_push_is_answered_in_words(live, tab)
 
 
 @needs_browser
-def test_a_height_is_typed_and_one_that_nobody_has_is_not_taken(live, tab):
+def test_a_height_can_be_typed_and_one_out_of_range_is_refused(live, tab):
     session, _ = live
     wait = wait_in(tab)
     session.pause(False)
@@ -269,7 +269,7 @@ def test_a_port_in_use_is_refused_in_one_line():
     ("host", "port", "option"),
     [(LOOPBACK, 70000, "--port"), (LOOPBACK, -1, "--port"), ("no.such.host.invalid", 0, "--host")],
 )
-def test_an_address_that_is_none_is_refused(host, port, option):
+def test_an_invalid_address_is_refused(host, port, option):
     with pytest.raises(InputError, match=option):
         check_address(host, port)
 

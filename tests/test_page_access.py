@@ -95,7 +95,7 @@ def test_a_page_that_others_reach_wants_its_token(open_one):
     assert not accepted(open_one, "https://evil.example", cookie=cookie)
 
 
-def test_an_address_that_was_typed_is_ours_but_no_name_that_is_not():
+def test_an_open_page_accepts_ip_addresses_and_no_foreign_names():
     access = Access.of("0.0.0.0")
     assert access.token
     assert access.refusal("192.0.2.7:8080", None) is None

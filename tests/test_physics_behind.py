@@ -73,7 +73,7 @@ def test_the_tracker_sees_no_frame_later_than_the_latency_says():
     assert np.array_equal(seen[0], seen[2])
 
 
-def test_the_avatar_is_held_against_what_the_user_did_not_what_it_was_told():
+def test_the_avatar_is_scored_against_the_users_motion_not_the_estimate():
     wrong = replace(MOTION, root_position=MOTION.root_position + np.array([0.03, 0.0, 0.0]))
     (rollout,) = follow_poses([reference_of(poses_of(wrong), MOTION)], [MOTION])
     truth = to_clip(MOTION)
@@ -95,7 +95,7 @@ def test_an_avatar_begins_in_the_users_own_state_whatever_the_estimate_begins_wi
     assert rollout.kind == truth.kind
 
 
-def test_an_estimate_begins_in_the_users_own_state_and_knows_nothing_later_of_it():
+def test_an_avatar_begins_in_the_users_state_and_then_sees_only_estimates():
     truth = to_clip(MOTION)
     turned = truth.qpos.copy()
     turned[:, 7:] += 0.3

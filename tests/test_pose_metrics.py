@@ -132,7 +132,7 @@ def test_penetration_is_the_depth_of_the_deepest_foot_joint():
     assert floor_penetration_cm(still + np.array([0.0, 0.0, 0.1]), still).max() == 0.0
 
 
-def test_who_hovers_needs_a_force_of_one_body_weight_and_who_falls_freely_none():
+def test_hovering_needs_a_root_force_of_one_body_weight_and_free_fall_none():
     clip = swaying_clip(frames=12)
     qpos = np.repeat(clip.qpos[:1], 12, axis=0)
     qpos[:, 2] += 1.0

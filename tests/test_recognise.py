@@ -248,7 +248,7 @@ def test_a_quadruped_is_refused_because_it_is_no_person(tmp_path):
 
 
 @pytest.mark.parametrize("rest_frame", [True, False])
-def test_who_lies_all_the_time_is_refused_and_not_put_upright(rest_frame, tmp_path):
+def test_a_person_who_lies_all_the_time_is_refused_and_not_put_upright(rest_frame, tmp_path):
     joints = [(n + "X", p, o) for n, p, o in SMPL_JOINTS]
     turn = np.array([[0, 0, 0 if rest_frame else -88]] + [[0, 0, -88]] * 19)
     path = write_bvh(tmp_path / "a.bvh", joints, standing(20, 0.12), {"PelvisX": turn})
@@ -297,7 +297,7 @@ def test_an_import_says_where_the_soles_of_feet_that_are_never_still_come_from(t
     assert "soles pitched by 6 deg, as declared for rig files" in capsys.readouterr().out
 
 
-def test_a_mapping_file_of_what_is_not_recognised_lists_the_joints_to_fill_in(tmp_path, capsys):
+def test_a_mapping_file_of_an_unknown_skeleton_lists_the_joints_to_fill_in(tmp_path, capsys):
     # All joints in one plane: neither feet nor knees show the front.
     joints = [(f"bone{i}", p, (*o[:2], 0.0)) for i, (_, p, o) in enumerate(SMPL_JOINTS)]
     path = write_bvh(tmp_path / "a.bvh", joints, standing(3, 0.95))

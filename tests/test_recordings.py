@@ -137,7 +137,7 @@ GOOD = {"t": 0.0, "headset": [0, 1.6, 0, 0, 0, 0, 1]}
         ([HEADER, 5], "line 2: is not a JSON object"),
     ],
 )
-def test_what_is_no_recording_is_refused_with_its_line(tmp_path, lines, says):
+def test_a_file_that_is_not_a_recording_is_refused_with_its_line(tmp_path, lines, says):
     path = tmp_path / "bad.jsonl.gz"
     path.write_bytes(gzip.compress("\n".join(map(json.dumps, lines)).encode()))
     with pytest.raises(InputError, match=says):
@@ -152,7 +152,7 @@ def test_a_recording_that_ends_too_early_is_refused(tmp_path):
         read_recording(path)
 
 
-def test_the_shipped_recording_is_what_its_maker_makes():
+def test_the_shipped_recording_equals_a_new_one_of_its_script():
     assert same(read_recording(Path("synthetic")).frames, example_frames(), 2e-4, 1e-3)
 
 

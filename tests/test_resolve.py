@@ -74,7 +74,7 @@ def library(tmp_path) -> str:
     return str(tmp_path / "sway.npz")
 
 
-def test_every_kind_of_name_is_told_apart():
+def test_every_kind_of_name_is_distinguished():
     found = {name: resolve(name) for name in ("questsim", "zero", "ik", "hmdposer", "ik+physics")}
     assert [f.kind for f in found.values()] == ["policy", "baseline", "system", "system", "physics"]
     assert [f.torques for f in found.values()] == [True, True, False, False, False]
@@ -83,7 +83,7 @@ def test_every_kind_of_name_is_told_apart():
     assert found["questsim"].card["format"] == "questsim-policy"
 
 
-def test_what_is_no_agent_is_refused_with_all_that_there_is():
+def test_an_unknown_agent_is_refused_with_the_list_of_agents():
     with pytest.raises(InputError) as refused:
         resolve("nobody")
     line = str(refused.value)

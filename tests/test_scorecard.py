@@ -89,7 +89,7 @@ def test_each_trial_has_its_sensors_and_height(library, tmp_path):
         ({"rows": ("hurdle",)}, "no clip of these motions suits --rows"),
     ],
 )
-def test_rows_that_cannot_be_are_refused(library, options, message):
+def test_rows_that_do_not_fit_are_refused(library, options, message):
     with pytest.raises(InputError, match=message):
         scorecard("tiny", str(library), None, None, 1, **options)
 

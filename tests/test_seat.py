@@ -91,7 +91,7 @@ def test_seated_clips_stay_within_the_joints_limits_and_differ() -> None:
     np.testing.assert_array_equal(seated_clips()[1].qpos, CLIPS[1].qpos)
 
 
-def test_hands_move_a_little_while_somebody_sits() -> None:
+def test_hands_move_a_little_in_seated_clips() -> None:
     for clip in CLIPS:
         sitting = clip.qpos[:, 2] < clip.qpos[:, 2].min() + 1e-3
         hands = clip.link_position[sitting][:, [12, 15]]
@@ -117,7 +117,7 @@ def test_a_seated_clip_is_made_of_any_height_and_length_but_too_short_ones() -> 
         synthesise("sit", start=True, duration=8.0)
 
 
-def test_who_follows_a_seated_clip_by_springs_is_borne_by_the_chair() -> None:
+def test_an_avatar_that_follows_a_seated_clip_by_springs_is_carried_by_the_chair() -> None:
     """Without the chair nobody could hold the pose: the mass is behind the feet."""
     heights = []
     for objects in (CHAIR, ()):
@@ -166,12 +166,12 @@ def test_a_chair_stands_elsewhere_for_clips_that_do_not_sit() -> None:
         ("ball:mass_kg=nan", "mass_kg"),
     ],
 )
-def test_an_object_that_cannot_be_is_refused(text: str, says: str) -> None:
+def test_an_invalid_object_is_refused(text: str, says: str) -> None:
     with pytest.raises(InputError, match=says):
         objects_named([text])
 
 
-def test_objects_are_told_by_name() -> None:
+def test_objects_can_be_given_by_name() -> None:
     assert objects_named(["ball:mass_kg=1,ahead_s=2", "chair:aside_m=-1..3"]) == (
         WorldObject("ball", ahead_s=(2.0, 2.0), mass_kg=1.0),
         WorldObject("chair", aside_m=(-1.0, 3.0)),

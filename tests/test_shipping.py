@@ -18,6 +18,7 @@ from agents.licence import licence_of, strictest
 from agents.policy.checkpoint import CARD_FILE, CRITIC_FILE, load_policy, save_policy
 from agents.policy.policy_agent import PolicyAgent, Tracker, new_policy
 from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
+from agents.resolve import SHIPPED
 from agents.run_folder import note_resume, start_run
 from agents.shipping import ship as shipping
 from agents.shipping.provenance import StagePart, _joined, options_of
@@ -116,7 +117,7 @@ def test_teacher_is_shipped_as_a_tracker(run, tmp_path):
     assert "student" not in card.partition("## Figures")[0]
 
 
-def test_card_tells_data_licence_commands_seed_and_hours(run, tmp_path):
+def test_the_card_has_data_licence_commands_seed_and_hours(run, tmp_path):
     ship(ShipArgs(run, "walker", into=tmp_path))
     card = card_of(tmp_path / "walker")
     assert "| licence | CC-BY-NC-4.0 |" in card
@@ -178,7 +179,7 @@ def test_metrics_of_another_policy_are_refused_and_the_old_one_stays(run, tmp_pa
 
 
 @pytest.mark.parametrize("content", ["no json", "[]", '{"schema": "x"}'])
-def test_what_is_no_report_is_refused(run, tmp_path, content):
+def test_a_file_that_is_not_a_report_is_refused(run, tmp_path, content):
     path = tmp_path / "metrics.json"
     path.write_text(content)
     with pytest.raises(InputError, match="is not a report"):
@@ -274,7 +275,7 @@ def test_policy_outside_a_run_is_refused(run, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["zero", "random", "../x", "A", "", "-x", "a/b"])
-def test_name_that_is_none_is_refused(name):
+def test_an_invalid_name_is_refused(name):
     with pytest.raises(InputError, match="is not a valid name"):
         check_name(name)
 
@@ -295,7 +296,7 @@ def test_licence_of_weights_is_the_strictest_of_its_motions():
 
 
 def test_shipped_agents_are_small_and_have_cards_and_licences():
-    folders = [path for path in shipping.SHIPPED.glob("*") if path.is_dir()]
+    folders = [path for path in SHIPPED.glob("*") if path.is_dir()]
     for folder in folders:
         check_name(folder.name)
         if (folder / CARD_FILE).exists():
@@ -307,7 +308,7 @@ def test_shipped_agents_are_small_and_have_cards_and_licences():
         assert all(path.stat().st_size < shipping.MAX_BYTES for path in folder.iterdir())
 
 
-def test_common_teacher_of_two_shipped_policies_is_told_once_and_by_one_name():
+def test_a_common_teacher_of_two_shipped_policies_is_listed_once_by_one_name():
     def part(stage: str, command: str) -> StagePart:
         return StagePart(Path("shipped"), {"stage": stage, "motions": "m"}, 8, 1.0, command)
 
@@ -326,7 +327,9 @@ def test_common_teacher_of_two_shipped_policies_is_told_once_and_by_one_name():
 def test_cards_name_no_folder_of_the_machine_of_the_training():
     words = options_of({"motions": "/home/me/a.npz,synthetic", "validation": "/home/me/val.npz"})
     assert words == ["--motions", "runs/a.npz,synthetic", "--validation", "runs/val.npz"]
-    texts = [path for path in shipping.SHIPPED.rglob("*") if path.suffix in (".md", ".yaml")]
+    both = options_of({"motions": "/home/me/a.npz,/home/you/a.npz,/home/me/a.npz:train"})
+    assert both == ["--motions", "runs/a.npz,runs/a-2.npz,runs/a.npz:train"]
+    texts = [path for path in SHIPPED.rglob("*") if path.suffix in (".md", ".yaml")]
     assert texts and not [
         path for path in texts if re.search(r"(^|[ ,='\"])/\w+/", path.read_text(), re.M)
     ]

@@ -14,7 +14,7 @@ from helpers import swaying_clip
 from agents.loading import load_agent
 from agents.policy.policy_agent import Tracker
 from agents.shipping.provenance import commands, stages_behind
-from agents.training import train_policy as training
+from agents.training import run_stage, train_policy
 from agents.training.dagger import Dagger
 from agents.training.options import TrainArgs
 from agents.training.ppo import AdaptivePPO
@@ -42,7 +42,7 @@ SHOWN = [estimate_of(clip) for clip in CLIPS]
 
 
 @pytest.mark.parametrize("terrain", [None, Terrain("waves", size_m=24.0)])
-def test_an_agent_sees_what_is_shown_and_is_held_against_what_was_done(terrain) -> None:
+def test_an_agent_observes_the_shown_clips_and_is_scored_against_the_true_ones(terrain) -> None:
     config = replace(PRIVILEGED, terrain=terrain)
     shown = BatchSim(CLIPS, config, shown=SHOWN)
     plain, other = BatchSim(CLIPS, config), BatchSim(SHOWN, config)
@@ -72,7 +72,7 @@ def test_an_agent_sees_what_is_shown_and_is_held_against_what_was_done(terrain) 
         np.testing.assert_allclose(shown.observation[:, angles], other.observation[:, angles])
 
 
-def test_what_is_shown_must_be_of_these_clips() -> None:
+def test_shown_clips_must_belong_to_the_clips() -> None:
     with pytest.raises(InputError, match="1 clips, motions have 2"):
         BatchSim(CLIPS, PRIVILEGED, shown=SHOWN[:1])
     with pytest.raises(InputError, match=r"a: 50 frames of 1.600 m are shown for \d+ of 1.750 m"):
@@ -81,7 +81,7 @@ def test_what_is_shown_must_be_of_these_clips() -> None:
 
 @pytest.fixture
 def library(tmp_path: Path, monkeypatch) -> Path:
-    monkeypatch.setattr(training, "load_clips", lambda args: CLIPS)
+    monkeypatch.setattr(train_policy, "load_clips", lambda args: CLIPS)
     path = tmp_path / "estimates.npz"
     save_library(path, [to_motion(clip) for clip in SHOWN], SHOWN)
     return path
@@ -93,12 +93,12 @@ def tiny(out: Path, **options) -> TrainArgs:
     )
 
 
-def test_a_student_learns_to_follow_estimates_from_who_sees_the_truth(
+def test_a_student_of_estimates_learns_from_a_teacher_of_the_true_motion(
     library, tmp_path, monkeypatch
 ) -> None:
     assert train(tiny(tmp_path / "teacher", stage="teacher")) == 0
     labelled: list[tuple[torch.Tensor, torch.Tensor]] = []
-    mean = training.make_learner
+    mean = run_stage.make_learner
 
     def watched(*args):
         learner = mean(*args)
@@ -112,7 +112,7 @@ def test_a_student_learns_to_follow_estimates_from_who_sees_the_truth(
         )
         return learner
 
-    monkeypatch.setattr(training, "make_learner", watched)
+    monkeypatch.setattr(run_stage, "make_learner", watched)
     out = tmp_path / "student"
     args = tiny(out, stage="student", teacher=tmp_path / "teacher", estimates=str(library))
     assert train(args) == 0
@@ -126,13 +126,13 @@ def test_a_student_learns_to_follow_estimates_from_who_sees_the_truth(
     assert any("--estimates" in line and "--stage student" in line for line in again)
 
 
-def test_a_tracker_that_is_shown_estimates_is_tuned_by_what_is_true(
+def test_a_tracker_of_estimates_is_fine_tuned_by_the_true_motion(
     library, tmp_path, monkeypatch
 ) -> None:
     made = []
-    make = training.make_learner
+    make = run_stage.make_learner
     monkeypatch.setattr(
-        training, "make_learner", lambda *args: made.append(make(*args)) or made[-1]
+        run_stage, "make_learner", lambda *args: made.append(make(*args)) or made[-1]
     )
     options = {"preset": "cpu", "stage": "finetune", "estimates": str(library)}
     assert train(tiny(tmp_path, start=Path("estimate-tracker"), **options)) == 0
@@ -149,7 +149,7 @@ def test_a_tracker_that_is_shown_estimates_is_tuned_by_what_is_true(
         torch.testing.assert_close(learner.policy.actor.get_parameter(name), weights)
 
 
-def test_truths_are_as_tall_as_what_is_estimated_of_their_recordings(
+def test_true_motions_are_scaled_to_the_stature_of_their_estimates(
     library, tmp_path, monkeypatch
 ) -> None:
     recorded = to_clip(to_motion(CLIPS[0]))
@@ -176,7 +176,7 @@ def test_truths_are_as_tall_as_what_is_estimated_of_their_recordings(
         ({"sensors": "H"}, "--estimates: does not go with --sensors"),
     ],
 )
-def test_who_has_no_use_for_estimates_is_told(options, message, library, tmp_path) -> None:
+def test_options_that_contradict_estimates_are_refused(options, message, library, tmp_path) -> None:
     options = {"stage": "student", "teacher": Path("tracker")} | options
     with pytest.raises(InputError, match=message):
         train(tiny(tmp_path / "run", estimates=str(library), **options))

@@ -75,7 +75,7 @@ def test_gradients_go_through_pytorchs_products():
 
 
 @torch.no_grad()
-def test_what_is_not_finite_stays_so():
+def test_values_that_are_not_finite_stay_so():
     x = torch.ones(2, 40)
     x[1, 3] = torch.nan
     got = linear(x, torch.ones(3, 40), torch.zeros(3))

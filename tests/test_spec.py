@@ -133,7 +133,7 @@ def test_synthetic_motion_of_some_kinds_is_a_part_of_all():
         ("bandai-namco-2:valid", "no split 'valid'"),
     ],
 )
-def test_what_names_no_motions_is_refused(text, reason):
+def test_an_argument_that_names_no_motions_is_refused(text, reason):
     with pytest.raises(InputError, match=reason):
         load_motions(text)
 

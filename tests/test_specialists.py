@@ -82,7 +82,7 @@ def test_a_specialist_without_name_or_with_empty_kinds_is_refused(text: str) -> 
         (("--preset", "paper"), "does not go with --preset paper"),
     ],
 )
-def test_specialists_that_nothing_would_ask_are_refused(
+def test_invalid_specialists_are_refused_and_leave_no_run(
     tmp_path: Path, words: tuple[object, ...], message: str
 ) -> None:
     run = questsim(

@@ -51,7 +51,7 @@ def test_shares_of_episodes_begin_as_asked():
     assert 5 <= standing.sum() <= 28
 
 
-def test_starts_that_cannot_be_are_refused():
+def test_invalid_starts_are_refused():
     with pytest.raises(InputError, match="at most 1"):
         Starts(standing=0.7, disturbed=0.7)
     with pytest.raises(InputError, match="lean_m"):

@@ -52,7 +52,7 @@ def two(tmp_path):
     )
 
 
-def test_paired_evaluations_tell_the_difference_and_who_changed_sides(two):
+def test_paired_evaluations_give_the_difference_and_the_clips_that_changed_sides(two):
     found = paired(*two)
     assert found.success == pytest.approx((12 / 14, 11 / 14))
     assert found.gained == ("clip-0",)
@@ -71,7 +71,7 @@ def test_compare_runs_prints_them(two, capsys):
     assert "success (%): 85.7 and 78.6" in said
 
 
-def test_compare_runs_refuses_what_is_no_evaluation(two, tmp_path, capsys):
+def test_compare_runs_refuses_a_folder_without_an_evaluation(two, tmp_path, capsys):
     assert main(["compare-runs", str(two[0]), str(tmp_path)]) == 2
     assert "has no clips.csv; name a folder" in capsys.readouterr().err
     other = write(tmp_path / "c", [0.02])

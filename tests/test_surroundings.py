@@ -96,7 +96,7 @@ def test_an_object_rests_on_the_ground_out_of_reach(kind: str) -> None:
     assert np.abs(sim.objects.pose[..., :3] - start[..., :3]).max() < 0.02
 
 
-def test_objects_keep_away_from_each_other_where_nobody_walks() -> None:
+def test_objects_keep_apart_around_a_standing_avatar() -> None:
     clips = [swaying_clip("standing", frames=90)]
     objects = tuple(WorldObject(kind) for kind in OBJECTS)
     sim = BatchSim(clips, EnvConfig(objects=objects, max_error_m=99.0), num_envs=4)
@@ -122,7 +122,7 @@ def test_the_avatar_is_the_same_beside_objects() -> None:
     np.testing.assert_allclose(beside.reward, alone.reward, atol=1e-5)
 
 
-def test_walking_into_a_ball_kicks_it_and_is_told() -> None:
+def test_walking_into_a_ball_kicks_it_and_info_has_the_force() -> None:
     clip = gliding_clip(2.0)
     config = EnvConfig(
         fixed_start=True, max_error_m=99.0, objects=(WorldObject("ball", (0.5, 0.5), (0.1, 0.1)),)
@@ -186,7 +186,7 @@ def test_late_devices_show_the_past() -> None:
     assert not np.array_equal(shown[0], shown[1])
 
 
-def test_a_silent_device_repeats_its_last_pose_and_speaks_again() -> None:
+def test_a_device_in_dropout_repeats_its_last_pose_and_reports_again() -> None:
     silent = Randomisation(dropout=(0.15, 0.15), dropout_frames=(5, 5))
     sim = BatchSim(
         CLIPS[:1], EnvConfig(fixed_start=True, future_frames=0, randomisation=silent), seed=1

@@ -140,7 +140,7 @@ def test_a_sweep_trains_as_train_does_and_is_continued(tmp_path, capsys):
     assert [each["better_than_first"]["interval"] for each in found] == [None]
 
 
-def test_a_sweep_that_cannot_begin_leaves_nothing(tmp_path, capsys):
+def test_a_sweep_that_is_refused_leaves_no_files(tmp_path, capsys):
     line = f"sweep {QUICK} --out {tmp_path / 'sweep'} --hold-out nowhere --seeds 1"
     assert main(line.split()) == 2
     assert "no clip has style 'nowhere'" in capsys.readouterr().err

@@ -110,7 +110,7 @@ def test_a_course_has_a_tile_of_each_kind_that_grows_harder() -> None:
     np.testing.assert_allclose(seam, 0.0, atol=1e-6)
 
 
-def test_gaps_are_no_part_of_the_ground_under_somebody() -> None:
+def test_the_ground_below_an_avatar_leaves_out_gaps() -> None:
     field = height_field(TERRAINS["gaps"])
     assert field.height.min() < -0.2 and np.abs(field.ground).max() == 0.0
 
@@ -189,7 +189,9 @@ def seen_links(sim: BatchSim) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("clip", [gliding_clip(heading=-1.0), STANDING], ids=["moves", "stands"])
-def test_a_teacher_sees_the_lifted_reference_and_feet_on_the_ground_of_who_stands(clip) -> None:
+def test_a_teacher_observes_the_lifted_reference_and_feet_on_the_ground_while_standing(
+    clip,
+) -> None:
     sim = BatchSim([clip], EnvConfig(fixed_start=True, terrain=HILLS, privileged=True))
     sim.reset()
     footed = sim.placed_clip(0, clip)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
+import shutil
 import signal
+from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +33,7 @@ from agents.training.stage import Budget, Stage, Stopper
 from agents.training.train_policy import train
 from agents.training.training_clips import split_validation
 from questsim.errors import InputError
+from questsim.motion.clip import Clip
 
 
 @pytest.fixture(autouse=True)
@@ -188,11 +192,31 @@ def test_held_out_style_is_evaluated_and_not_learnt():
         split_validation(clips, "calm,old,young", 10)
 
 
+def swaying_clips() -> list[Clip]:
+    return [swaying_clip(f"sway{i}", frames=40, height_m=1.6 + 0.1 * i) for i in range(3)]
+
+
 @pytest.fixture
 def clips(monkeypatch):
-    found = [swaying_clip(f"sway{i}", frames=40, height_m=1.6 + 0.1 * i) for i in range(3)]
+    found = swaying_clips()
     monkeypatch.setattr(training, "load_clips", lambda args: found)
     return found
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> tuple[Path, str]:
+    """A run with a teacher and a student, trained once for all tests, and what it printed."""
+    out, printed = tmp_path_factory.mktemp("finished") / "run", io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(printed):
+        patch.setattr(training, "load_clips", lambda args: swaying_clips())
+        assert train(tiny(out)) == 0
+    return out, printed.getvalue()
+
+
+@pytest.fixture
+def run_copy(finished, tmp_path) -> Path:
+    """A copy of that run, to be continued."""
+    return shutil.copytree(finished[0], tmp_path / "run")
 
 
 def tiny(out: Path, **options) -> TrainArgs:
@@ -201,11 +225,10 @@ def tiny(out: Path, **options) -> TrainArgs:
     )
 
 
-def test_training_runs_its_stages_and_goes_on(clips, tmp_path, capsys):
-    out = tmp_path / "run"
-    assert train(tiny(out)) == 0
+def test_training_runs_its_stages_and_goes_on(clips, finished, run_copy):
+    out = run_copy
     expected = PRESETS[tiny(out).preset].expect
-    assert capsys.readouterr().out.startswith(f"preset {tiny(out).preset}: {expected}\n")
+    assert finished[1].startswith(f"preset {tiny(out).preset}: {expected}\n")
     record = yaml.safe_load((out / "run.yaml").read_text())
     assert record["format_version"] == 1
     assert record["args"]["seed"] == 0
@@ -257,8 +280,9 @@ def test_a_teacher_begins_with_another_teachers_weights_and_says_so(clips, tmp_p
         train(replace(begun, out=tmp_path / "e", set=(*begun.set, without)))
 
 
-def test_a_full_body_student_of_teachers_becomes_a_teacher_with_a_new_critic(clips, tmp_path):
-    train(tiny(tmp_path / "a", stage="teacher"))
+def test_a_full_body_student_of_teachers_becomes_a_teacher_with_a_new_critic(
+    clips, finished, tmp_path
+):
     full_body = (
         "actor_blocks=[o_sim,o_scale,privileged]",
         "reference_head=true",
@@ -266,7 +290,7 @@ def test_a_full_body_student_of_teachers_becomes_a_teacher_with_a_new_critic(cli
         "hidden=[8]",
     )
     changed = tuple(f"stages.student.policy.{value}" for value in full_body)
-    train(tiny(tmp_path / "b", stage="student", teacher=tmp_path / "a", set=changed))
+    train(tiny(tmp_path / "b", stage="student", teacher=finished[0], set=changed))
     started = tiny(tmp_path / "c", stage="teacher", start=tmp_path / "b" / "student" / "best")
     train(replace(started, set=(*started.set, "stages.teacher.policy.hidden=[8]")))
     assert (tmp_path / "c" / "teacher" / "last" / CRITIC_FILE).exists()
@@ -274,26 +298,32 @@ def test_a_full_body_student_of_teachers_becomes_a_teacher_with_a_new_critic(cli
 
 @pytest.mark.parametrize(
     ("option", "value"),
-    [("threads", 0), ("envs", 0), ("steps", -5), ("minutes", -1.0), ("seed", -1)],
+    [
+        ("threads", 0),
+        ("envs", 0),
+        ("steps", -5),
+        ("minutes", -1.0),
+        ("minutes", np.inf),
+        ("seed", -1),
+    ],
 )
-def test_numbers_that_are_too_small_are_refused_by_the_option(option, value, tmp_path):
+def test_numbers_out_of_range_are_refused_with_their_option(option, value, tmp_path):
     with pytest.raises(InputError, match=f"--{option}"):
         train(tiny(tmp_path / "run", **{option: value}))
     assert not (tmp_path / "run").exists()
 
 
-def test_a_resume_is_noted_with_its_options(clips, tmp_path):
-    train(tiny(tmp_path / "run", stage="teacher"))
+def test_a_resume_is_noted_with_its_options(clips, run_copy):
     changed = "stages.teacher.learning.desired_kl=0.01"
-    train(tiny(tmp_path / "run", stage="teacher", steps=512, resume=True, set=(changed,)))
-    (again,) = yaml.safe_load((tmp_path / "run" / "run.yaml").read_text())["resumed"]
+    train(tiny(run_copy, stage="teacher", steps=512, resume=True, set=(changed,)))
+    (again,) = yaml.safe_load((run_copy / "run.yaml").read_text())["resumed"]
     assert again["args"]["steps"] == 512
     assert again["preset"]["stages"]["teacher"]["learning"]["desired_kl"] == 0.01
 
 
-def test_student_of_another_sensor_set_has_the_same_teacher(clips, tmp_path):
-    train(tiny(tmp_path / "t", stage="teacher"))
-    options = {"stage": "student", "teacher": tmp_path / "t", "sensors": "H", "future_frames": 0}
+def test_student_of_another_sensor_set_has_the_same_teacher(clips, finished, tmp_path):
+    teacher = finished[0] / "teacher"
+    options = {"stage": "student", "teacher": teacher, "sensors": "H", "future_frames": 0}
     assert train(tiny(tmp_path / "s", **options)) == 0
     agent = load_agent(tmp_path / "s")
     assert isinstance(agent, PolicyAgent)
@@ -304,7 +334,7 @@ def test_student_of_another_sensor_set_has_the_same_teacher(clips, tmp_path):
         train(tiny(tmp_path / "u", stage="student", teacher=tmp_path / "s"))
 
 
-def test_fine_tuning_starts_from_the_student(clips, tmp_path, monkeypatch):
+def test_fine_tuning_starts_from_the_student(clips, run_copy, monkeypatch):
     smoke = PRESETS["smoke"]
     student = smoke.stages["student"]
     finetune = replace(
@@ -314,8 +344,7 @@ def test_fine_tuning_starts_from_the_student(clips, tmp_path, monkeypatch):
     )
     stages = smoke.stages | {"finetune": finetune}
     monkeypatch.setitem(training.PRESETS, "smoke", replace(smoke, stages=stages))
-    out = tmp_path / "run"
-    train(tiny(out))
+    out = run_copy
     train(tiny(out, resume=True, stage="finetune"))
     a, b = load_agent(out / "student" / "best"), load_agent(out / "finetune" / "last")
     assert isinstance(a, PolicyAgent)

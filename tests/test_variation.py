@@ -138,7 +138,7 @@ def test_the_reaction_of_the_floor_is_that_of_mujocos_inverse_dynamics() -> None
         assert np.allclose(np.cross(arm, own)[:2], torque[:2], atol=0.02)
 
 
-def test_who_leans_beyond_the_feet_is_not_carried_by_the_floor() -> None:
+def test_a_body_that_leans_beyond_its_feet_is_not_carried_by_the_floor() -> None:
     standing = feasible.lacking(STAND)
     assert not feasible.unsupported(STAND, standing)
 
@@ -221,7 +221,7 @@ def test_the_command_writes_a_library(tmp_path, capsys) -> None:
         (["--out", "no/such/more.npz"], "no such folder"),
     ],
 )
-def test_the_command_refuses_what_cannot_be_in_one_line(
+def test_the_command_refuses_invalid_options_in_one_line(
     options, message, tmp_path, capsys, monkeypatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -243,4 +243,4 @@ def test_an_interrupted_command_keeps_what_it_made(tmp_path, capsys, monkeypatch
     out = tmp_path / "part.npz"
     assert main(["motions", "vary", "synthetic:stand", "--out", str(out), "--count", "9"]) == 130
     assert len(load_library(out).clips) == 2
-    assert "go on with --first 2 --count 7" in capsys.readouterr().out
+    assert "continue with --first 2 --count 7" in capsys.readouterr().out

@@ -271,7 +271,7 @@ def test_ghost_is_drawn_over_the_avatar_and_shows_the_difference():
 
 
 @needs_gl
-def test_a_fall_is_told_in_red():
+def test_a_fall_is_marked_in_red():
     clip = still_clip(3)
     fallen, upright = (
         list(rollout_frames([rollout(clip, fell=fell)], 320, 240))[-1][200:, :160]
@@ -434,7 +434,7 @@ def test_show_without_gl_writes_the_sheet_and_one_line(no_gl, two_clips, tmp_pat
     assert len(lines) == 1 and "video skipped" in lines[0] and "libosmesa6" in lines[0]
 
 
-def test_show_says_which_clips_there_are(two_clips, tmp_path):
+def test_show_lists_the_clips_if_one_is_unknown(two_clips, tmp_path):
     with pytest.raises(InputError, match=r"no clip 'danse'.*dance"):
         show_clip(ShowArgs("danse", out=tmp_path))
     with pytest.raises(InputError, match="--stride"):

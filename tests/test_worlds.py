@@ -96,7 +96,7 @@ def test_the_table_has_every_row_of_walks_and_gestures(of_ghost: dict) -> None:
     assert [name for name, row in rows.items() if row["interval"] is not None] == pushes
 
 
-def test_who_follows_and_stays_up_succeeds_and_who_falls_does_not(of_ghost: dict) -> None:
+def test_a_clip_followed_to_its_end_succeeds_and_a_fall_does_not(of_ghost: dict) -> None:
     success = {row["name"]: row["success"] for row in of_ghost["rows"]}
     assert {success[name] for name in success if name != "ball"} == {1.0}
     fallen = {row["name"]: row for row in table(ZeroAgent())["rows"]}
@@ -105,7 +105,7 @@ def test_who_follows_and_stays_up_succeeds_and_who_falls_does_not(of_ghost: dict
     assert fallen["rough_4cm"]["reached"] is False and fallen["flat"]["reached"] is None
 
 
-def test_a_ball_that_nobody_touches_is_no_success(monkeypatch) -> None:
+def test_a_ball_that_is_not_touched_is_no_success(monkeypatch) -> None:
     far = replace(worlds.BALL, aside_m=(3.0, 3.0))
     row = next(w for w in WORLDS if w.name == "ball")
     monkeypatch.setattr(worlds, "WORLDS", (replace(row, settings={"ball": {"objects": (far,)}}),))
@@ -179,7 +179,7 @@ def test_rollouts_on_a_terrain_are_scored_against_the_clip_on_its_feet_there() -
         (("envs", "--name", "QuestSimMoon-v0"), "there is no 'QuestSimMoon-v0'"),
     ],
 )
-def test_worlds_that_are_not_are_refused_in_one_line(words, wanted, library, tmp_path) -> None:
+def test_impossible_worlds_are_refused_in_one_line(words, wanted, library, tmp_path) -> None:
     motions = () if words[0] == "envs" else ("--motions", library)
     assert_refused(questsim(tmp_path, *words, *motions), wanted)
 
@@ -195,7 +195,7 @@ def test_environments_are_listed_and_described(capsys) -> None:
 def test_a_policy_is_trained_further_on_a_terrain(library, tmp_path, monkeypatch) -> None:
     made = []
     monkeypatch.setattr(
-        "agents.training.train_policy.evaluation_sim",
+        "agents.training.run_stage.evaluation_sim",
         lambda clips, config, *rest, **others: (
             made.append(config) or evaluation_sim(clips, config, *rest, **others)
         ),
@@ -217,7 +217,7 @@ def test_a_policy_is_trained_further_on_a_terrain(library, tmp_path, monkeypatch
 
 
 def test_a_fine_tuning_that_found_nothing_better_says_so(tmp_path) -> None:
-    assert "no better than its start yet; go on with --resume" in _outcome(tmp_path)
+    assert "no better than its start yet; continue with --resume" in _outcome(tmp_path)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from agents.evaluation.assisted import AssistUse
 from agents.evaluation.follow import choose_clips
 from agents.evaluation.groups import by_group, check_conditions, format_groups, grouped_clips
 from agents.evaluation.options import ByGroupArgs, EvaluateArgs, ScorecardArgs, WorldsArgs
-from agents.evaluation.report import evaluation_context, filmed, report
+from agents.evaluation.report import clips_in_video, evaluation_context, report
 from agents.evaluation.rollout import env_config, roll_out
 from agents.evaluation.scorecard import format_scorecard, scorecard
 from agents.evaluation.seeds import check_random, format_spread, seeded, spread
@@ -73,7 +73,7 @@ def evaluate(args: EvaluateArgs) -> int:
     clips = load_motions(args.motions, seed=args.seed, own_proportions=args.own_proportions)
     if args.max_clips is not None:
         clips = choose_clips(clips, args.max_clips)
-    filmed(args, clips)
+    clips_in_video(args, clips)  # refuses unknown names before the evaluation
     assist = None if args.assist is None else AssistUse(args.assist)
     begin_at = _estimates(clips) if args.begin == "estimate" else None
     with ray_map(args.workers, args.ray, args.threads) as mapper:
@@ -165,7 +165,7 @@ def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
         what = f"{args.agent} has no physics and cannot be assisted"
         raise InputError(what, "--assist", "leave it out")
     motions = at_sensor_rate(load_recordings(args.motions, seed=args.seed), args.max_clips)
-    filmed(args, motions)
+    clips_in_video(args, motions)
     jobs = [Job(found.base, scenario, motion) for motion in motions]
     assist = None if args.assist is None else AssistUse(args.assist)
     with processes(args.threads, args.workers, args.ray) as mapper:

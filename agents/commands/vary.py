@@ -57,7 +57,7 @@ def vary_motions(args: VaryArgs) -> int:
     print(f"{len(made)} clips, {sum(clip.duration for clip in made):.0f} s, in {args.out}")
     if code:
         done = args.first + len(made)
-        print(f"interrupted; go on with --first {done} --count {numbers.stop - done}")
+        print(f"interrupted; continue with --first {done} --count {numbers.stop - done}")
     return code
 
 

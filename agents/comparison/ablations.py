@@ -77,7 +77,7 @@ def ablations(args: AblationsArgs) -> int:
                 _leave_nothing(out, there)
                 raise
             if code:
-                print(f"stopped; go on with the same command and --resume, --out {out}")
+                print(f"stopped; continue with the same command and --resume, --out {out}")
                 return code
             torch.set_num_threads(args.threads)
             _score(args, variant, out, motions)

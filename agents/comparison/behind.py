@@ -1,8 +1,8 @@
-"""Physics behind a kinematic system with nothing but what a user has.
+"""Physics behind a kinematic system, from the data that a live user would have.
 
-The avatar has the body that the system knows or estimates, not the user's true bones. Retargeting
-knows no later frame. The avatar starts in the system's own first estimate, in the user's true
-state, or standing.
+The avatar has the body that was measured or that the system estimates, not the user's true bones.
+Retargeting uses no later frame. The avatar starts in the system's own first estimate, in the user's
+true state, or standing.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ STATURE_STEP_M = 0.01
 
 @dataclass(frozen=True)
 class Shown:
-    """What a tracker is shown, and what it is measured by in the simulation.
+    """The clip that a tracker observes and the clip that it is scored against.
 
     Attributes:
         clip: the system's estimate on the avatar of the body that it knows.

@@ -102,7 +102,7 @@ def compare(args: CompareArgs) -> int:
         try:
             scored = _scored(work, recordings, args, record)
         except KeyboardInterrupt:
-            print(f"stopped; the same command goes on in {out}", file=sys.stderr)
+            print(f"stopped; the same command continues in {out}", file=sys.stderr)
             return INTERRUPTED
     if not scored:
         raise InputError("no row is complete yet", out, "leave --finished out")

@@ -28,7 +28,7 @@ class CompareArgs:
     sensors: str | None = None
     """Use only this sensor set, e.g. H+2C or 6T; by default every set that an agent supports."""
     out: Path
-    """Folder for tables, figures and the film. The same command goes on with what is there."""
+    """Folder for tables, figures and the film. The same command continues a stopped comparison."""
     starts: tuple[Start, ...] = ("estimate",)
     """States in which avatars with physics begin, a row each: the first estimate of the kinematic
     system (HMD-Poser's for policies), the user's own state, or standing. The film has the first."""

@@ -1,4 +1,4 @@
-"""The results of a comparison clip by clip, so that an interrupted one goes on where it was.
+"""The results of a comparison clip by clip, so that an interrupted one can continue.
 
 ``clips.jsonl`` in the folder: one line for what is compared, then one line for each clip of each
 row as soon as it is scored. The same command reads them again and computes only what is missing.

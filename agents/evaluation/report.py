@@ -66,7 +66,7 @@ def report(args: EvaluateArgs, rollouts: list[Rollout], context: dict[str, Any])
     if args.video:
         config = context["config"]
         ground = config.terrain if isinstance(config, EnvConfig) else None
-        shown = filmed(args, rollouts)
+        shown = clips_in_video(args, rollouts)
         count = len(args.video_clips) or FILMED_CLIPS
         _film(shown, args.out / "rollouts.mp4", ground, count)
     return 0
@@ -93,8 +93,8 @@ def performed(rollout: Rollout) -> Clip:
     return clip_from_qpos(rollout.name, qpos, rollout.height_m, body, **about)
 
 
-def filmed(args: EvaluateArgs, clips: list[T]) -> list[T]:
-    """The rollouts named by ``--video-clips``; without names, all of them.
+def clips_in_video(args: EvaluateArgs, clips: list[T]) -> list[T]:
+    """The clips, motions or rollouts named by ``--video-clips``; without names, all of them.
 
     Raises:
         InputError: no clip has one of the names.

@@ -1,7 +1,7 @@
 """The scorecard: one command compares the shipped policies with every bar of the project.
 
-A trial that has been evaluated is kept in its own file, so that an interrupted scorecard goes on
-where it was. The file is used again only for the same policy, motions, environment and versions.
+A trial that has been evaluated is kept in its own file, so that an interrupted scorecard can
+continue. The file is used again only for the same policy, motions, environment and versions.
 """
 
 from __future__ import annotations

@@ -196,25 +196,13 @@ def calibrate(
     if pose not in POSES:
         raise InputError(f"unknown pose {pose!r}", "calibration", f"choose from {', '.join(POSES)}")
     frames = list(frames)
-    head = _still(frames, "headset")
-    if head is None:
-        raise InputError(
-            f"fewer than {LEAST_FRAMES} frames or {LEAST_S:g} s with a headset",
-            "calibration",
-            "stand still for three seconds",
-        )
-    tilt = float(rot.quat_rotate(head.quat, np.array([0.0, 0.0, 1.0]))[2])
-    if tilt < np.cos(np.radians(30.0)):
-        raise InputError("the headset is tilted", "calibration", "look straight ahead")
-    eyes = float(head.position[2])
-    height, floor = _height_and_floor(eyes, height_m, floor_m)
+    head = _level_headset(frames)
+    height, floor = _height_and_floor(float(head.position[2]), height_m, floor_m)
     looked = float(rot.heading(head.quat))
     found = Calibration(height, floor, looked)  # refuses a stature out of range
     standing = standing_clip(height)
     upright, _ = device_poses(standing.link_position[0], standing.link_quat[0], ["headset"], height)
-    level = rot.quat_multiply(rot.quat_conjugate(head.quat), rot.yaw_quat(np.array(looked)))
-    lift = np.array([0.0, 0.0, upright[0, 2] - (eyes - floor)])
-    mounts = {"headset": _mount(rot.quat_rotate(rot.quat_conjugate(head.quat), lift), level)}
+    mounts = {"headset": _headset_mount(head, looked, floor, upright[0, 2])}
     hands = {
         side: hand
         for side in ("left", "right")
@@ -229,6 +217,34 @@ def calibrate(
         axis = forearm_axis(palms, f"{side}_controller")
         mounts[f"{side}_controller"] = _hand_mount(side, hand, height, spot, turn, pose, axis)
     return Calibration(height, found.floor_m, heading, mounts)
+
+
+def _level_headset(frames: Sequence[DeviceFrame]) -> DevicePose:
+    """The pose of the headset of a user who stands still and looks straight ahead.
+
+    Raises:
+        InputError: too few frames, or the headset moves or is tilted by more than 30 degrees.
+    """
+    head = _still(frames, "headset")
+    if head is None:
+        raise InputError(
+            f"fewer than {LEAST_FRAMES} frames or {LEAST_S:g} s with a headset",
+            "calibration",
+            "stand still for three seconds",
+        )
+    tilt = float(rot.quat_rotate(head.quat, np.array([0.0, 0.0, 1.0]))[2])
+    if tilt < np.cos(np.radians(30.0)):
+        raise InputError("the headset is tilted", "calibration", "look straight ahead")
+    return head
+
+
+def _headset_mount(head: DevicePose, looked: float, floor: float, upright_m: float) -> DeviceMount:
+    """Mount that makes the headset level and lifts it to ``upright_m`` over the floor."""
+    back = rot.quat_conjugate(head.quat)
+    lift = np.array([0.0, 0.0, upright_m - (float(head.position[2]) - floor)])
+    return _mount(
+        rot.quat_rotate(back, lift), rot.quat_multiply(back, rot.yaw_quat(np.array(looked)))
+    )
 
 
 def _height_and_floor(

@@ -65,7 +65,7 @@ class Fit:
     def resume(self) -> None:
         """Continue from the last checkpoint: steps, networks, optimiser and random states.
 
-        Another number of workers may go on; then the batches are drawn otherwise.
+        Another number of workers may continue it; it then draws other batches.
         """
         state = load_resume(self.folder / "last")
         self.module.load_state_dict(state["module"])
@@ -89,7 +89,7 @@ class Fit:
         if self._count_before != self.team.count:
             display.say(
                 f"{self.name}: another number of workers ({self._count_before} before, now "
-                f"{self.team.count}): other windows are drawn; networks, optimiser and steps go on"
+                f"{self.team.count}): it draws other windows; weights, optimiser and steps continue"
             )
         if not self.history:
             self._evaluate(logger, display)

@@ -28,13 +28,11 @@ from agents.kinematic.team import Nobody, RayTeam, SharedStage, Team, part_of
 from agents.overrides import with_overrides
 from agents.resolve import from_anywhere
 from agents.run_folder import (
-    RECORD,
+    RunRecord,
     check_same_run,
-    note_resume,
     only_training,
     read_run,
     refuse_existing,
-    start_run,
 )
 from agents.training.hold_out import without_styles
 from agents.training.loggers import check_logger
@@ -86,27 +84,19 @@ def train_system(args: TrainSystemArgs) -> int:
     behind = shipped_start(args.start)
     if args.start is not None:
         begin_with(module, args.start, args.agent)
-    stopper, banks, begun = Stopper(), {}, []
-
-    def begin() -> None:
-        # Written only now: input that a stage refuses must not leave a run behind.
-        if not (args.out / RECORD).exists():
-            start_run(args.out, args, config, data, behind)
-        elif not begun:
-            note_resume(args.out, args, config)
-        begun.append(True)
-
+    record = RunRecord(args.out, args, config, data, lambda: behind)
+    stopper, banks = Stopper(), {}
     with only_training(args.out), cluster, Display() as display, stopper.listening():
         for name in config.stages:
             fit = _fit(name, args, config, module, (motions, held), banks, data)
-            begin()
+            record.begin()
             try:
                 fit.run(display, stopper)
             finally:
                 if isinstance(fit.team, RayTeam):
                     fit.team.close()
             if stopper.requested:
-                display.say(f"stopped; go on with --resume --out {args.out}")
+                display.say(f"stopped; continue with --resume --out {args.out}")
                 return INTERRUPTED
             best = args.out / name / "best"
             module.load_state_dict(load_module(best)[0].state_dict())

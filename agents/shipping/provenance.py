@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from math import ceil
 from pathlib import Path
@@ -13,13 +13,10 @@ from agents.licence import strictest
 from agents.policy.checkpoint import CARD_FILE, find_policy, find_teacher, read_card
 from agents.resolve import policy_folder
 from agents.run_folder import RECORD, default_of, plain, read_run
+from agents.shipping.portable import NAME_FILES, file_names, free_name, portable, texts_of_files
 from agents.training.options import TrainArgs
 from agents.training.specialists import read_specialist
 from questsim.errors import InputError
-from questsim.motion.naming import split_parts
-
-STAGES = ("teacher", "student", "finetune")
-"""In the order in which they build on each other; the paper's ``ppo`` is independent."""
 
 RECORDED = ("stage", "steps", "minutes", "motions", "licences", "seed", "clips", "seconds")
 """Required keys of a policy's ``training``, which every training writes."""
@@ -72,6 +69,7 @@ def provenance(folder: Path) -> dict[str, Any]:
         InputError: the policy is not inside a run, or an earlier stage is missing.
     """
     parts = stages_behind(folder)
+    names = _names_of_files(parts)
     return {
         "commands": commands(parts),
         "stages": [
@@ -79,7 +77,7 @@ def provenance(folder: Path) -> dict[str, Any]:
                 "stage": part.training["stage"],
                 "steps": part.steps,
                 "minutes": part.minutes,
-                "motions": portable(part.training["motions"]),
+                "motions": portable(part.training["motions"], names),
             }
             | _several_teachers(part, parts)
             for part in parts
@@ -100,16 +98,6 @@ def _has_device_faults(args: Mapping[str, Any]) -> bool:
     options = args.get("randomisation") or {}
     faults = ("noise_m", "noise_rad", "mount_m", "mount_rad", "latency_jitter_frames", "dropout")
     return any(max(options.get(name, (0.0,))) > 0 for name in faults)
-
-
-NAME_FILES = ("motions", "estimates", "validation", "start_estimates", "body")
-"""Options that may name files of the machine of the training."""
-
-
-def portable(motions: str) -> str:
-    """A motion argument in which absolute file paths become ``runs/`` and the file's name."""
-    parts = split_parts(motions)
-    return ",".join(f"runs/{Path(p).name}" if Path(p).is_absolute() else p for p in parts)
 
 
 def stages_behind(folder: Path) -> list[StagePart]:
@@ -233,7 +221,7 @@ def _joined(parts: list[StagePart], more: Sequence[StagePart]) -> list[StagePart
         twin = next((known for known in parts if _is_same(known, part)), None)
         if twin is None:
             if part.command is not None:
-                names.setdefault(_out(part.command), _free(_out(part.command), taken))
+                names.setdefault(_out(part.command), free_name(_out(part.command), taken))
             command = None if part.command is None else _renamed(part.command, names)
             parts.append(replace(part, command=command))
         elif part.command is not None and twin.command is not None:
@@ -247,9 +235,7 @@ def _is_same(a: StagePart, b: StagePart) -> bool:
         return False
     if a.command is None and a.run != b.run:
         return False
-    what = [
-        (p.training["stage"], portable(p.training["motions"]), p.steps, p.minutes) for p in (a, b)
-    ]
+    what = [(p.training["stage"], p.training["motions"], p.steps, p.minutes) for p in (a, b)]
     return what[0] == what[1]
 
 
@@ -290,6 +276,7 @@ def commands(parts: Sequence[StagePart]) -> list[str]:
     command names the last.
     """
     names, lines, begun = _run_names(parts), [], set()
+    files = _names_of_files(parts)
     for part in parts:
         if part.command is not None:
             lines.append(part.command)
@@ -311,8 +298,22 @@ def commands(parts: Sequence[StagePart]) -> list[str]:
         if run in begun:
             words.append("--resume")
         begun.add(run)
-        lines.append(shlex.join(["python", "train.py", *options_of(record["args"]), *words]))
+        lines.append(
+            shlex.join(["python", "train.py", *options_of(record["args"], files=files), *words])
+        )
     return lines
+
+
+def _names_of_files(parts: Sequence[StagePart]) -> dict[str, str]:
+    """See ``file_names``: those of all stages."""
+    texts: list[str] = []
+    for part in parts:
+        texts.append(part.training["motions"])
+        if part.command is None:
+            texts += texts_of_files(read_run(part.run)["args"])
+        else:
+            texts += shlex.split(part.command)
+    return file_names(texts)
 
 
 def _run_names(parts: Sequence[StagePart]) -> dict[Path, str]:
@@ -325,16 +326,8 @@ def _run_names(parts: Sequence[StagePart]) -> dict[Path, str]:
             names.setdefault(part.run, "runs/TEACHER")
         elif part.run not in names:
             taken = {*names.values(), *(_out(p.command) for p in parts if p.command is not None)}
-            names[part.run] = _free(f"runs/{part.run.name}", taken)
+            names[part.run] = free_name(f"runs/{part.run.name}", taken)
     return names
-
-
-def _free(name: str, taken: Collection[str]) -> str:
-    """The name, with a number if another run has it."""
-    number, found = 2, name
-    while found in taken:
-        number, found = number + 1, f"{name}-{number}"
-    return found
 
 
 def _run_name(
@@ -350,13 +343,17 @@ def _run_name(
     return next(_out(p.command) for p in parts if p.command is not None and _is_same(p, own))
 
 
-def options_of(args: Mapping[str, Any], kind: type = TrainArgs) -> list[str]:
+def options_of(
+    args: Mapping[str, Any], kind: type = TrainArgs, files: Mapping[str, str] | None = None
+) -> list[str]:
     """Recorded options that differ from the defaults; preset and motions are always included.
 
     Args:
         args: options as in a run's record.
         kind: dataclass of these options.
+        files: see ``file_names``; by default those of these options.
     """
+    files = file_names(texts_of_files(args)) if files is None else files
     words: list[str] = []
     for option in fields(kind):
         name = option.name
@@ -368,7 +365,7 @@ def options_of(args: Mapping[str, Any], kind: type = TrainArgs) -> list[str]:
                 if number != default[inner]:
                     words += _words(f"{name}.{inner}", number)
         elif name in NAME_FILES and value is not None:
-            words += _words(name, portable(value))
+            words += _words(name, portable(value, files))
         elif value != default or name == "preset":
             words += _words(name, value)
     return words

@@ -22,7 +22,7 @@ from agents.policy.checkpoint import (
 from agents.resolve import BASELINES, UNTRAINED, resolve
 from agents.shipping.model_card import model_card, read_metrics
 from agents.shipping.options import ShipArgs
-from agents.shipping.provenance import portable, provenance
+from agents.shipping.provenance import provenance
 from agents.shipping.system_card import comparison_lines, system_card, system_provenance
 from questsim.errors import InputError
 
@@ -64,8 +64,9 @@ def _ship_policy(args: ShipArgs, source: Path) -> tuple[int, str]:
     size = _checked_size(source / WEIGHTS_FILE)
     training = agent.card["training"]
     metrics = [read_metrics(path, training) for path in args.metrics]
-    motions = {"motions": portable(training["motions"])}
-    agent.card["training"] = training | motions | provenance(source)
+    behind = provenance(source)
+    motions = {"motions": behind["stages"][-1]["motions"]}
+    agent.card["training"] = training | motions | behind
     licence = _checked_licence(agent.card["training"], source)
     card = model_card(args.name, agent, size, metrics)
     _write(args, source, (WEIGHTS_FILE, CRITIC_FILE), (CARD_FILE, agent.card), card)
@@ -77,7 +78,9 @@ def _ship_system(args: ShipArgs, source: Path) -> tuple[int, str]:
     size = _checked_size(source / SYSTEM_WEIGHTS)
     training = description["training"]
     figures = [line for path in args.metrics for line in comparison_lines(path, training)]
-    description["training"] = training | system_provenance(source)
+    behind = system_provenance(source)
+    motions = {"motions": behind["stages"][-1]["motions"]}
+    description["training"] = training | motions | behind
     licence = _checked_licence(description["training"], source)
     card = system_card(args.name, source, description["training"], size, figures)
     _write(args, source, (SYSTEM_WEIGHTS,), (SYSTEM_CARD, description), card)

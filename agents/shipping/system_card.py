@@ -19,6 +19,7 @@ from agents.licence import strictest
 from agents.resolve import base_of
 from agents.run_folder import read_run
 from agents.shipping.model_card import card_text, read_report, time_text
+from agents.shipping.portable import file_names, portable, texts_of_files
 from agents.shipping.provenance import options_of, run_of
 from questsim.errors import InputError
 
@@ -56,7 +57,7 @@ def system_provenance(folder: Path) -> dict[str, Any]:
     run = run_of(folder)
     record = read_run(run)
     training = read_system_card(folder)["training"]
-    stages = []
+    files, stages = file_names([training["motions"], *texts_of_files(record["args"])]), []
     for stage in training["trained"]:
         last = run / stage / "last"
         end = read_system_card(last)["training"] if (last / CARD_FILE).exists() else training
@@ -65,11 +66,11 @@ def system_provenance(folder: Path) -> dict[str, Any]:
                 "stage": stage,
                 "steps": end["steps"],
                 "minutes": end["minutes"],
-                "motions": training["motions"],
+                "motions": portable(training["motions"], files),
             }
         )
     minutes = ceil(sum(stage["minutes"] for stage in stages))
-    words = options_of(record["args"], TrainSystemArgs)
+    words = options_of(record["args"], TrainSystemArgs, files)
     words += ["--minutes", str(minutes), "--out", "runs/NAME"]
     before: dict[str, Any] = {"commands": [], "stages": [], "licences": []}
     if start := record["args"].get("start"):

@@ -82,7 +82,7 @@ def _begin(args: SweepArgs) -> None:
     """Write the record of a new sweep, or check that of a continued one.
 
     Raises:
-        InputError: there is a sweep already, there is none, or its options differ.
+        InputError: --out has a sweep already; or --resume finds none, or one of other options.
     """
     path = args.out / RECORD
     given = plain(args)

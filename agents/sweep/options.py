@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 from agents.training.options import TrainArgs
@@ -29,7 +29,3 @@ class SweepArgs(TrainArgs):
     """Number of runs at the same time: processes of this machine, or tasks of --ray."""
     ray: str | None = None
     """Address of a Ray cluster whose nodes train the runs (docs/scaling.md)."""
-
-
-OF_SWEEP = {f.name for f in fields(SweepArgs)} - {f.name for f in fields(TrainArgs)}
-"""Options that a single training does not have."""

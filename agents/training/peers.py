@@ -46,7 +46,7 @@ class Peers(Protocol):
 
 
 class Alone:
-    """``Peers`` of a learner that shares its updates with nobody."""
+    """``Peers`` of a learner that computes its updates alone."""
 
     def mean(self, values: Tensor) -> Tensor:
         """The values themselves."""

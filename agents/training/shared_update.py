@@ -142,7 +142,7 @@ class LearningPool(ActorPool):
     def _together(self, call: Callable[[Any], Any]) -> list[Any]:
         """Results of a call in which the workers exchange gradients.
 
-        If one dies the others cannot go on either: all begin again in their states before it.
+        If one dies, all start again in their states before the update.
         """
         for _ in range(ATTEMPTS):
             try:

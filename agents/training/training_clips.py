@@ -17,7 +17,7 @@ Pairs = dict[str, tuple[Clip, Clip]]
 
 
 def load_clips(args: TrainArgs) -> list[Clip]:
-    """The clips of ``--motions``, at the data's own statures and, if asked for, proportions."""
+    """The clips of ``--motions``, at the data's own statures and, on request, proportions."""
     from questsim.motion.spec import load_motions
 
     if args.own_proportions and args.proportions:

@@ -71,7 +71,6 @@ ARM: dict[str, _Patterns] = {
     ),
 }
 HIPS = re.compile(r"hip|pelvis|下半身|センター")
-SPINE = re.compile(r"spine|chest|torso|abdomen|waist|back|thorax|rib|lumbar|trunk|belly|上半身")
 NECK = re.compile(r"neck|cervical|首|颈")
 HEAD = re.compile(r"head|skull|kopf|頭|头")
 

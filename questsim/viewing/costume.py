@@ -16,9 +16,6 @@ from scipy.spatial import ConvexHull
 from questsim.body import DEFAULT_HEIGHT_M, scaled_spec
 from questsim.body_proportions import Proportions
 
-DEVICE_SITES = ("headset", "left_controller", "right_controller")
-"""Sites of the MJCF at which the devices are worn."""
-
 Rgba = tuple[float, float, float, float]
 Blobs = list[tuple[float, ...]]  # x y z and one radius, or x y z and three; metres, 1.75 m body
 

@@ -72,7 +72,7 @@ class PagePanel:
     def _add_choices(self) -> None:
         gui, session = self._gui, self._session
         settings, choices = session.settings, session.choices
-        with gui.add_folder("Who and what"):
+        with gui.add_folder("Avatar and clip"):
             self._choice("Clip", "clip", choices.clips)
             self._choice("Agent", "agent", choices.agents)
             self._choice("Sensors", "sensors", choices.sensors)

@@ -65,7 +65,7 @@ def write_gif(
     Args:
         path: where to; its folder is made.
         frames: pictures ``(H, W, 3)`` uint8, all of one size.
-        fps: frames a second; GIF knows hundredths of a second.
+        fps: frames a second; GIF rounds to hundredths of a second.
         colours: at most 256; fewer make a smaller file.
 
     Returns:

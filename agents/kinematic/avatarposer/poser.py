@@ -24,7 +24,7 @@ from agents.kinematic.learning import Learning, Task
 from agents.kinematic.recurrent.assembly import assembled
 from agents.kinematic.recurrent.features import DEVICES as ALL_DEVICES
 from agents.kinematic.recurrent.features import features
-from agents.kinematic.recurrent.poser import training_inputs
+from agents.kinematic.recurrent.training import training_inputs
 from agents.kinematic.switches import SWITCH
 from agents.precision import products
 from questsim import differentiable as diff

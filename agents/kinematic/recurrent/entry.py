@@ -13,12 +13,8 @@ from agents.kinematic.learning import Config, Learning
 from agents.kinematic.recurrent.faults import EXACT
 from agents.kinematic.recurrent.hmdposer import HmdPoserSpec
 from agents.kinematic.recurrent.lgsik import LgsikSpec
-from agents.kinematic.recurrent.poser import (
-    HMDPOSER_WEIGHTS,
-    RecurrentModule,
-    RecurrentPoser,
-    make_task,
-)
+from agents.kinematic.recurrent.poser import RecurrentModule, RecurrentPoser
+from agents.kinematic.recurrent.training import HMDPOSER_WEIGHTS, make_task
 from agents.kinematic.scenario import PAPER_NAMES, Scenario, Variant
 from questsim.sensors import SENSOR_SETS
 
@@ -146,7 +142,7 @@ LGSIK = _entry(
     variants=(
         Variant(
             "no-graph",
-            "no graph convolutions: the six parts go on alone (LGSIK-Poser)",
+            "no graph convolutions: the six parts are independent (LGSIK-Poser)",
             set=("spec.graph=false",),
         ),
         Variant(

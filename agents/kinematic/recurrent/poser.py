@@ -1,4 +1,4 @@
-"""Shared parts of HMD-Poser and LGSIK-Poser: streaming with LSTM states, bodies, losses."""
+"""HMD-Poser and LGSIK-Poser on a stream: LSTM states, the estimated body, windows."""
 
 from __future__ import annotations
 
@@ -9,41 +9,28 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.kinematic.data import MotionBank, Windows
 from agents.kinematic.interface import DeviceSignals, KinematicSystem, Poses, UserBody
-from agents.kinematic.learning import Learning, Task
 from agents.kinematic.recurrent.assembly import assembled
-from agents.kinematic.recurrent.faults import Faults, drawn
-from agents.kinematic.recurrent.features import DEVICES, HEAD, SENSOR_JOINTS, features
+from agents.kinematic.recurrent.features import DEVICES, features
 from agents.kinematic.recurrent.hmdposer import HmdPoserNet, HmdPoserSpec
 from agents.kinematic.recurrent.lgsik import SHAPE_INPUTS, LgsikNet, LgsikSpec
 from agents.kinematic.small_batch import linear
-from agents.precision import products
-from questsim import differentiable as diff
 from questsim import rotations as rot
 from questsim.errors import InputError
-from questsim.joint_sensors import SENSOR_FPS, SensorSequence, mount
-from questsim.proportions import NUM_BONES, bone_lengths, bone_of_joint, measurements
-from questsim.skeleton import JOINTS, NUM_JOINTS
+from questsim.joint_sensors import SensorSequence
+from questsim.proportions import NUM_BONES, bone_of_joint, measurements
+from questsim.skeleton import NUM_JOINTS
 
 SHAPE_UNIT = 0.1
 """Unit of shape values, which are logarithms of bone lengths relative to the template's."""
-HISTORY = 2
-"""Number of frames before a window that accelerations need."""
 WINDOWS_AT_ONCE = 64
 """Windows per batch in the online protocol; more use more memory without saving time."""
 VISIBLE = ((False, False, False), (True, True, False), (True, True, True))
 """Presence of the three IMUs: HMD, HMD+2IMU, HMD+3IMU; training draws them equally often."""
 
-HMDPOSER_WEIGHTS = {
-    "root": 1.0, "local": 5.0, "global": 1.0, "joints": 1.0, "acceleration": 0.5, "shape": 0.1,
-}  # fmt: skip
-"""Published weights of the terms of HMD-Poser's loss, see ``losses``."""
-
 _BONE_OF_JOINT = torch.as_tensor(bone_of_joint())
 
 RecurrentSpec = HmdPoserSpec | LgsikSpec
-_Batch = tuple[Windows, Tensor, Faults | None]
 
 
 class RecurrentModule(nn.Module):
@@ -200,151 +187,3 @@ def _compile() -> None:
     features(place, turn, place, torch.zeros(1, 3, dtype=torch.bool))
     pose = np.zeros((1, NUM_JOINTS, 6))
     assembled(pose, np.eye(3)[None], np.zeros((1, 3)), pose[..., :3])
-
-
-# -- training ----------------------------------------------------------------------------------
-
-
-def training_inputs(
-    windows: Windows, seen: Tensor, faults: Faults | None = None
-) -> tuple[Tensor, Tensor, Windows]:
-    """Features ``(B, T, 135)``, headings and targets, from windows ``HISTORY`` frames longer.
-
-    Accelerations of IMUs have no errors of their own, as in the comparison.
-    """
-    at = list(SENSOR_JOINTS)
-    rotation = windows.world[:, :, at]
-    place = windows.position[:, :, at]
-    arms = np.array([[mount(n, o).offset for n in DEVICES[3:]] for o in windows.offsets.numpy()])
-    arms_there = torch.as_tensor(arms, dtype=torch.float32)[:, None, :, :, None]
-    imu = place[:, :, 3:] + (rotation[:, :, 3:] @ arms_there).squeeze(-1)
-    acceleration = torch.zeros_like(imu)
-    acceleration[:, 2:] = (imu[:, 2:] - 2 * imu[:, 1:-1] + imu[:, :-2]) * SENSOR_FPS**2
-    if faults is not None:
-        place, rotation = faults.apply(place, rotation)
-    inputs, heading = features(place[:, :, :3], rotation, acceleration, seen)
-    cut = slice(HISTORY, None)
-    target = Windows(
-        windows.local[:, cut], windows.world[:, cut], windows.position[:, cut], windows.offsets
-    )
-    return inputs[:, cut], heading[:, cut], target
-
-
-def _l1(a: Tensor, b: Tensor) -> Tensor:
-    return (a - b).abs().mean()
-
-
-def _mse(a: Tensor, b: Tensor) -> Tensor:
-    return (a - b).square().mean()
-
-
-def losses(
-    module: RecurrentModule,
-    six: Tensor,
-    shape: Tensor,
-    heading: Tensor,
-    target: Windows,
-    weights: dict[str, float] = HMDPOSER_WEIGHTS,
-) -> tuple[Tensor, dict[str, float]]:
-    """The published loss of either system, in the frame of the head's heading.
-
-    HMD-Poser, L1: root 1, local 5, global 1, joints 1, acceleration 0.5 (of 100 m/s^2), shape
-    consistency 0.1 (``weights``). LGSIK-Poser, MSE: root 10, local 50, global 10, joints 1000,
-    sparse joints (root, hands) 1000, shape 10, velocity 5 over lags of 1, 3 and 5 frames. In both
-    papers the shape term is consistency in the window alone: bones follow from the loss of the
-    joints. Other values of ``LgsikSpec.loss`` supervise bone lengths too, or use HMD-Poser's loss.
-    """
-    local = diff.six_d_to_matrix(six)
-    offsets = module.bones(shape)
-    world = diff.world_matrices(local)
-    from_root = diff.positions_from_root(world, offsets)
-    joints = from_root - from_root[:, :, HEAD : HEAD + 1]
-    back = heading.transpose(-1, -2)[:, :, None]
-    want_world = back @ target.world
-    from_head = target.position - target.position[:, :, HEAD : HEAD + 1]
-    want = (back @ from_head[..., None]).squeeze(-1)
-    want_six = diff.matrix_to_six_d(target.local[:, :, 1:])
-    want_root = diff.matrix_to_six_d(want_world[:, :, 0])
-    got_six = diff.matrix_to_six_d(local)
-    turned = (heading[:, :, None] @ joints[..., None]).squeeze(-1)
-    # Joint paths in the world, without the head's path, which is given.
-    moved, want_moved = turned, from_head
-    if isinstance(module.net, HmdPoserNet) or module.net.spec.loss == "hmdposer":
-
-        def bend(x: Tensor) -> Tensor:
-            return (x[:, 2:] - 2 * x[:, 1:-1] + x[:, :-2]) * (SENSOR_FPS**2 / 100.0)
-
-        terms = {
-            "root": _l1(got_six[:, :, 0], want_root),
-            "local": _l1(got_six[:, :, 1:], want_six),
-            "global": _l1(diff.matrix_to_six_d(world), diff.matrix_to_six_d(want_world)),
-            "joints": _l1(joints, want),
-            "acceleration": _l1(bend(moved), bend(want_moved)),
-            "shape": (shape - shape.mean(dim=1, keepdim=True)).abs().mean(),
-        }
-        terms = {name: weights[name] * term for name, term in terms.items()}
-    else:
-        sparse = [JOINTS.index(name) for name in ("root", "left_wrist", "right_wrist")]
-        lags = [k for k in (1, 3, 5) if k < moved.shape[1]]
-        velocity = [
-            _mse(moved[:, k:] - moved[:, :-k], want_moved[:, k:] - want_moved[:, :-k]) for k in lags
-        ]
-        terms = {
-            "root": 10.0 * _mse(got_six[:, :, 0], want_root),
-            "local": 50.0 * _mse(got_six[:, :, 1:], want_six),
-            "global": 10.0 * _mse(diff.matrix_to_six_d(world), diff.matrix_to_six_d(want_world)),
-            "joints": 1000.0 * _mse(joints, want),
-            "sparse": 1000.0 * _mse(joints[:, :, sparse], want[:, :, sparse]),
-            "shape": 10.0 * _shape_error(module, shape, target),
-            "velocity": 5.0 * torch.stack(velocity).sum(),
-        }
-    total = torch.stack(list(terms.values())).sum()
-    figures = {name: float(term.detach()) for name, term in terms.items()}
-    figures["error_cm"] = float(100.0 * (joints - want).detach().norm(dim=-1).mean())
-    return total, figures
-
-
-def _shape_error(module: RecurrentModule, shape: Tensor, target: Windows) -> Tensor:
-    """LGSIK-Poser's shape term: variance within each window, and in the variant also the error."""
-    wander = shape - shape.mean(dim=1, keepdim=True)
-    if isinstance(module.net, LgsikNet) and module.net.spec.loss == "lgsik":
-        return wander.square().mean()
-    lengths = bone_lengths(target.offsets.numpy()) / bone_lengths(module.template.numpy())
-    known = torch.as_tensor(np.log(lengths), dtype=torch.float32)[:, None]
-    return _mse(SHAPE_UNIT * shape, known) + SHAPE_UNIT * wander.abs().mean()
-
-
-def make_task(
-    module: nn.Module, stage: str, learning: Learning, bank: MotionBank, validation: int
-) -> Task:
-    """Create the task of ``network``, the only stage of HMD-Poser and LGSIK-Poser."""
-    assert isinstance(module, RecurrentModule) and stage == "network"
-    if not module.template.any():
-        module.template.copy_(torch.as_tensor(bank.template))
-    fixed = bank.validation.fixed(validation)
-    fixed_seen = torch.tensor(VISIBLE)[torch.arange(validation) % len(VISIBLE)]
-
-    def with_faults(windows: Windows, seen: Tensor, rng: np.random.Generator) -> _Batch:
-        shape = (len(windows), windows.frames, len(DEVICES))
-        return windows, seen, drawn(learning.noise, shape, rng)
-
-    def draw(rng: np.random.Generator) -> _Batch:
-        windows = bank.draw(learning.batch, rng)
-        seen = torch.tensor(VISIBLE)[rng.integers(len(VISIBLE), size=learning.batch)]
-        return with_faults(windows, seen, rng)
-
-    def loss(batch: _Batch) -> tuple[Tensor, dict[str, float]]:
-        windows, seen, faults = batch
-        inputs, heading, target = training_inputs(windows, seen, faults)
-        body = module.body_inputs(target.offsets.numpy())
-        with products(learning.bfloat16 and module.training):
-            six, shape, _ = module.net(inputs, body)
-        weights = HMDPOSER_WEIGHTS | learning.weights
-        return losses(module, six.float(), shape.float(), heading, target, weights)
-
-    compared = with_faults(fixed, fixed_seen, np.random.default_rng(20_260))
-
-    def validate() -> dict[str, float]:
-        return loss(compared)[1]
-
-    return Task(list(module.net.parameters()), draw, loss, validate)
