@@ -20,17 +20,17 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from agents.policy.avatar_state import LEG_DOFS, AvatarState
 from agents.policy.spec import Layout
 from agents.policy.stepping import (
     CAPTURE_RATE,
-    LEG_DOFS,
     PLACEMENTS,
     POSITION,
     FootPlacement,
     Stepping,
 )
-from questsim.body import DEFAULT_HEIGHT_M, POLICY_TIMESTEP_S, build_body
-from questsim.skeleton import DOFS, FOOT_LINKS, LINKS, NUM_DOFS, NUM_LINKS
+from questsim.body import POLICY_TIMESTEP_S, build_body
+from questsim.skeleton import FOOT_LINKS, NUM_DOFS, NUM_LINKS
 
 PUSHES = 3
 """An acceleration: forwards, left and up."""
@@ -73,14 +73,6 @@ FLIGHT = 0.05
 
 FOOT_AHEAD_M = 0.04
 """Distance in m of a standing person's centre of mass in front of the ankles (stature 1.75 m)."""
-
-_HIP, _KNEE, _ANKLE = 3, 1, 2
-_SIDES = ("left", "right")
-assert DOFS[:LEG_DOFS] == tuple(
-    f"{side}_{hinge}"
-    for side in _SIDES
-    for hinge in ("hip_y", "hip_x", "hip_z", "knee_y", "ankle_y", "ankle_x")
-)
 
 
 class Balance(nn.Module):
@@ -146,7 +138,7 @@ class Balance(nn.Module):
         and velocity errors of the centre of mass, three numbers each. Those of ``Stepping`` or
         ``FootPlacement`` follow.
         """
-        state = BalanceState(obs.index_select(1, self.columns))
+        state = AvatarState(obs.index_select(1, self.columns))
         offset = self.centre * state.ratio[:, None]
         arm = state.rotated(offset)
         centre = self._mean(state.position + arm)
@@ -208,7 +200,7 @@ class Balance(nn.Module):
         """Mass-weighted mean over links: ``(n, 3)`` of ``(n, 16, 3)``."""
         return (of_links * self.mass_share[:, None]).sum(1)
 
-    def _basis(self, state: BalanceState, hinges: tuple[Tensor, Tensor], centre: Tensor) -> Tensor:
+    def _basis(self, state: AvatarState, hinges: tuple[Tensor, Tensor], centre: Tensor) -> Tensor:
         """``(n, 12, 3)`` action of each hinge of the legs for an acceleration."""
         axes, anchors = hinges
         # -(axis x (c - anchor)) . F: the hinge torque for which the floor force is F.
@@ -218,7 +210,7 @@ class Balance(nn.Module):
         return lever * (share * self.strength)[:, :, None]
 
     def _from_reference(
-        self, state: BalanceState, errors: Tensor, offset: Tensor, arm: Tensor
+        self, state: AvatarState, errors: Tensor, offset: Tensor, arm: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Position and velocity of the centre of mass, reference minus avatar, ``(n, 3)`` each."""
         place, turn, velocity, spin = errors.unbind(2)
@@ -232,7 +224,7 @@ class Balance(nn.Module):
         return self._mean(place + moved), self._mean(speed)
 
     def _from_feet(
-        self, state: BalanceState, centre: Tensor, velocity: Tensor
+        self, state: AvatarState, centre: Tensor, velocity: Tensor
     ) -> tuple[Tensor, Tensor]:
         """The same errors, horizontal, with the midpoint of the feet as target, ``(n, 3)`` each."""
         feet = list(FOOT_LINKS)
@@ -245,40 +237,3 @@ class Balance(nn.Module):
 
 def _logarithm(value: np.ndarray) -> nn.Parameter:
     return nn.Parameter(torch.as_tensor(np.log(value), dtype=torch.float32))
-
-
-class BalanceState:
-    """The state of ``n`` avatars from ``o_sim`` and ``o_scale``, all in the frame S."""
-
-    def __init__(self, columns: Tensor) -> None:
-        angles, _, position, turn, velocity, spin, force, height = columns.split(
-            (NUM_DOFS, NUM_DOFS, 3 * NUM_LINKS, 6 * NUM_LINKS, 3 * NUM_LINKS, 3 * NUM_LINKS, 6, 1),
-            dim=1,
-        )
-        self.position = position.unflatten(1, (NUM_LINKS, 3))
-        self.first, self.second = turn.unflatten(1, (NUM_LINKS, 2, 3)).unbind(2)
-        self.third = torch.linalg.cross(self.first, self.second)
-        self.velocity = velocity.unflatten(1, (NUM_LINKS, 3))
-        self.spin = spin.unflatten(1, (NUM_LINKS, 3))
-        self.load = force.unflatten(1, (2, 3))[:, :, 2].clamp_min(0.0)
-        self.ratio = height / DEFAULT_HEIGHT_M
-        self._hip_y = angles[:, [DOFS.index(f"{side}_hip_y") for side in _SIDES]]
-
-    def rotated(self, offset: Tensor) -> Tensor:
-        """Vectors ``(n, 16, 3)`` of the links' own frames in S."""
-        x, y, z = offset.unsqueeze(-1).unbind(-2)
-        return x * self.first + y * self.second + z * self.third
-
-    def hinges(self) -> tuple[Tensor, Tensor]:
-        """Axes of the legs' hinges and points on them, ``(n, 12, 3)`` each."""
-        axes, anchors = [], []
-        for side, name in enumerate(_SIDES):
-            thigh, shin, foot = (LINKS.index(f"{name}_{p}") for p in ("thigh", "shin", "foot"))
-            angle = self._hip_y[:, side, None]
-            # The second hinge of the hip turns with the first, about the pelvis' y axis.
-            hip_x = torch.cos(angle) * self.first[:, 0] - torch.sin(angle) * self.third[:, 0]
-            axes += [self.second[:, 0], hip_x, self.third[:, thigh], self.second[:, thigh]]
-            axes += [self.second[:, shin], self.first[:, foot]]
-            for link, hinges in ((thigh, _HIP), (shin, _KNEE), (foot, _ANKLE)):
-                anchors += hinges * [self.position[:, link]]
-        return torch.stack(axes, 1), torch.stack(anchors, 1)

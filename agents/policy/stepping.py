@@ -20,19 +20,15 @@ numbers of the head on training clips (docs/torque-head.md).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from agents.policy.avatar_state import LEG_DOFS, LEG_HINGES, AvatarState
 from agents.policy.spec import initial_gains
 from questsim.skeleton import DOFS, FOOT_LINKS, NUM_DOFS
 
-if TYPE_CHECKING:
-    from agents.policy.balance import BalanceState
-
-LEG_DOFS = 12
 SWING = 0.15
 """A foot that carries less than this share of the weight is in swing."""
 CAPTURE_RATE = 3.3
@@ -55,10 +51,9 @@ FIRST = {"ahead": 1.5, "place": 10.5, "damp": 1.1, "pelvis": 4.2}
 LEAST = 0.3
 """Trained values stay above this share of the start values."""
 
-_HINGES = ("hip_y", "hip_x", "hip_z", "knee_y", "ankle_y", "ankle_x")
-SOFTER: dict[str, float] = dict(zip(_HINGES, (1.1, 1.1, 1.1, 1.6, 1.4, 1.4), strict=True))
+SOFTER: dict[str, float] = dict(zip(LEG_HINGES, (1.1, 1.1, 1.1, 1.6, 1.4, 1.4), strict=True))
 """A spring of a leg in swing is weaker by the factor exp(-value)."""
-STIFFER: dict[str, float] = dict(zip(_HINGES, (0.85, 2.0, 1.1, 1.1, 1.6, 1.3), strict=True))
+STIFFER: dict[str, float] = dict(zip(LEG_HINGES, (0.85, 2.0, 1.1, 1.1, 1.6, 1.3), strict=True))
 SLIGHTLY = 0.05
 """``softer`` at the start of a student: its springs are around the zero pose."""
 TRUNK, ARMS = 1.35, 0.5
@@ -109,7 +104,7 @@ class Stepping(nn.Module):
 
     def terms(
         self,
-        state: BalanceState,
+        state: AvatarState,
         hinges: tuple[Tensor, Tensor],
         errors: Tensor,
         capture: Tensor,
@@ -120,7 +115,7 @@ class Stepping(nn.Module):
 
         Args:
             state: of ``n`` avatars.
-            hinges: axes of the legs' hinges and points on them, see ``BalanceState.hinges``.
+            hinges: axes of the legs' hinges and points on them, see ``AvatarState.hinges``.
             errors: ``(n, 16, 4, 3)`` the observation's tracking errors.
             capture: ``(n, 3)`` capture point, avatar minus reference, in m.
             strength: ``(12,)`` mass over torque limit of each hinge, kg / (N m).
@@ -165,7 +160,7 @@ class FootPlacement(nn.Module):
         self.softer = nn.Parameter(torch.full((LEG_DOFS,), SLIGHTLY))
 
     def terms(
-        self, state: BalanceState, hinges: tuple[Tensor, Tensor], strength: Tensor, weight_n: float
+        self, state: AvatarState, hinges: tuple[Tensor, Tensor], strength: Tensor, weight_n: float
     ) -> Tensor:
         """Terms ``(n, 62)``; see ``Stepping.terms`` for the arguments.
 
@@ -197,19 +192,19 @@ class FootPlacement(nn.Module):
         return _softness(self.softer, terms[:, -2:])
 
 
-def _swing(state: BalanceState, weight_n: float) -> Tensor:
+def _swing(state: AvatarState, weight_n: float) -> Tensor:
     """Share of swing ``(n, 2)`` of both feet: 1 without load, 0 from ``SWING`` of the weight."""
     return (1.0 - state.load / (SWING * weight_n)).clamp(0.0, 1.0)
 
 
-def _lever(state: BalanceState, hinges: tuple[Tensor, Tensor], strength: Tensor) -> Tensor:
+def _lever(state: AvatarState, hinges: tuple[Tensor, Tensor], strength: Tensor) -> Tensor:
     """``(n, 12, 3)`` action of each hinge for a unit acceleration of the body on its foot."""
     axes, anchors = hinges
     foot = state.position[:, list(FOOT_LINKS)].repeat_interleave(LEG_DOFS // 2, dim=1)
     return torch.linalg.cross(axes, foot - anchors) * strength[:, None]
 
 
-def _hip_share(state: BalanceState, weight_n: float) -> Tensor:
+def _hip_share(state: AvatarState, weight_n: float) -> Tensor:
     """Share ``(n, 12)`` of each hip hinge in turning the pelvis, by its leg's load; others 0."""
     load = state.load / (state.load.sum(1, keepdim=True) + SWING * weight_n)
     return load.repeat_interleave(LEG_DOFS // 2, dim=1) * HIPS

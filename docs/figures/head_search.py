@@ -20,10 +20,10 @@ import numpy as np
 import torch
 import tyro
 
+from agents.policy.avatar_state import LEG_DOFS
 from agents.policy.networks import TorquePolicy
 from agents.policy.policy_agent import head_alone
 from agents.policy.spec import Layout
-from agents.policy.stepping import LEG_DOFS
 from agents.training.presets import TEACHER, TRACKING_REWARD
 from envs.config import EnvConfig
 from envs.core import BatchSim
