@@ -11,7 +11,7 @@ from agents.resolve import BASELINES, PHYSICS, shipped_policies, shipped_systems
 
 ROOT = Path(__file__).parents[1]
 NAMED_IN = {"agents/resolve.py", "agents/kinematic/registry.py"}
-LOSSES = {f"agents/kinematic/recurrent/{name}.py" for name in ("lgsik", "poser", "entry")}
+LOSSES = {f"agents/kinematic/recurrent/{name}.py" for name in ("lgsik", "training", "entry")}
 """LGSIK-Poser's losses bear the names of the systems that they are from."""
 NAMES = {*shipped_policies(), *shipped_systems(), *BASELINES, *AGENTS}
 WORDS = {"questsim", "demo", "tracker", "random", "zero", "ik"}

@@ -16,6 +16,7 @@ import numpy as np
 from agents.kinematic.interface import KinematicSystem, UserBody
 from agents.kinematic.physics_behind import on_own_body
 from agents.kinematic.store import load_system
+from agents.resolve import DEFAULT_SYSTEM
 from questsim import rotations as rot
 from questsim.body import build_body
 from questsim.errors import InputError
@@ -27,7 +28,6 @@ from questsim.motion.retarget_stream import StreamRetargeter
 from questsim.sensors import device_poses
 from questsim.skeleton import NUM_DOFS, NUM_LINKS
 
-ESTIMATOR = "hmdposer"
 MOVES_M_S = 0.3
 """A user whose headset moves faster than this on average, level, is in motion."""
 _FRAMES, _LEAST = 36, 18
@@ -129,7 +129,7 @@ class MovingUser:
 @cache
 def estimator(names: tuple[str, ...]) -> KinematicSystem | None:
     """The system that estimates users in motion; None if it cannot use these devices."""
-    system = load_system(ESTIMATOR)
+    system = load_system(DEFAULT_SYSTEM)
     try:
         system.usable(names)
     except InputError:
