@@ -217,7 +217,7 @@ def test_a_policy_is_trained_further_on_a_terrain(library, tmp_path, monkeypatch
 
 
 def test_a_fine_tuning_that_found_nothing_better_says_so(tmp_path) -> None:
-    assert "no better than its start yet; continue with --resume" in _outcome(tmp_path)
+    assert "no better than its start yet; continue with --resume" in _outcome(TrainArgs(tmp_path))
 
 
 @pytest.fixture
