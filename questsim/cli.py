@@ -83,7 +83,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "motions list": Command(
         "questsim.motion_options:ListMotionsArgs", "questsim.motion.motions_command:list_motions",
-        "list the contents of a library, dataset, file or folder",
+        "list the contents of a library, dataset, file or folder, or what there is",
     ),
     "motions show": Command(
         "questsim.motion_options:ShowArgs", "questsim.viewing.show_command:show_clip",

@@ -80,9 +80,9 @@ class FetchArgs:
 
 @dataclass
 class ListMotionsArgs:
-    """List the contents of a motion argument."""
+    """List the contents of a motion argument; without one, the datasets and the embedded kinds."""
 
-    spec: tyro.conf.Positional[str]
+    spec: tyro.conf.Positional[str] = ""
     """A dataset (with :train or :test), library, file, folder, or synthetic."""
     clips: Annotated[bool, tyro.conf.arg(aliases=["-c"])] = False
     """List each clip."""

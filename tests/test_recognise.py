@@ -18,6 +18,7 @@ from questsim import rotations as rot
 from questsim.cli import main
 from questsim.errors import InputError
 from questsim.motion.bvh import read_bvh
+from questsim.motion.doubts import doubts
 from questsim.motion.families import load_mapping
 from questsim.motion.joint_names import understand
 from questsim.motion.many import MAX_ERROR_CM, read_and_retarget
@@ -310,11 +311,12 @@ def test_a_mapping_file_of_an_unknown_skeleton_lists_the_joints_to_fill_in(tmp_p
     assert "#   bone7\n" in text and '# left_knee = ""\n' in text
 
 
-def test_the_height_scales_a_file_of_unknown_units(tmp_path):
+def test_a_file_of_unknown_units_is_scaled_to_the_usual_or_the_declared_height(tmp_path):
     joints = [(n, p, tuple(3 * v for v in o)) for n, p, o in SMPL_JOINTS]
     path = write_bvh(tmp_path / "b.bvh", joints, standing(3, 2.85))
-    with pytest.raises(InputError, match=r"not a person's height in any of.*--height"):
-        read_motion(path)
+    motion, report = read_motion(path)
+    assert report.stature_m == pytest.approx(1.7, abs=1e-3)
+    assert any("scaled to 1.7 m; declare" in doubt for doubt in doubts(motion, report))
     motion, report = read_motion(path, ReadOptions(height_m=1.8))
     assert report.stature_m == pytest.approx(1.8, abs=1e-3)
     assert len(motion) == 3

@@ -213,6 +213,13 @@ def test_import_refuses_wrong_arguments(changes, reason, folder, tmp_path, monke
     assert not (tmp_path / "lib.npz").exists()
 
 
+def test_list_of_nothing_names_the_datasets_and_the_embedded_kinds(capsys):
+    list_motions(ListMotionsArgs())
+    text = capsys.readouterr().out
+    assert "get it with questsim motions fetch bandai-namco-2" in text
+    assert {"walk", "wave", "sit"} <= set(re.findall(r"[a-z-]+", text.split("kinds are")[1]))
+
+
 def test_list_counts_clips_by_kind(folder, capsys):
     list_motions(ListMotionsArgs(str(folder)))
     lines = capsys.readouterr().out.splitlines()

@@ -71,6 +71,9 @@ MAX_ROOT_TURN = 40.0
 measured, those of Bandai-Namco, DeepMimic and intact ones of CMU stay below 16."""
 
 
+UNKNOWN_UNITS = "unknown"
+
+
 @dataclass(frozen=True)
 class Report:
     """How a recording was interpreted, and which checks it fails.

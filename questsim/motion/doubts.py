@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from questsim.motion.checks import FLOOR_TOLERANCE_M, Report, jumps
+from questsim.motion.checks import FLOOR_TOLERANCE_M, UNKNOWN_UNITS, Report, jumps
 from questsim.motion.motion import Motion
 
 MAX_REPEATED = 0.3
@@ -15,8 +15,17 @@ MIN_FRAMES = 10
 
 def doubts(motion: Motion, report: Report) -> tuple[str, ...]:
     """One clause for each sign; empty if there is none."""
-    found = (jumps(motion), _repeats(motion), _far_from_floor(report))
+    found = (_unknown_units(report), jumps(motion), _repeats(motion), _far_from_floor(report))
     return tuple(filter(None, found))
+
+
+def _unknown_units(report: Report) -> str:
+    if UNKNOWN_UNITS not in report.units:
+        return ""
+    return (
+        f"the skeleton is no person's height in any known unit and is scaled to "
+        f"{report.stature_m:.1f} m; declare the performer's height with --height"
+    )
 
 
 def _repeats(motion: Motion) -> str:

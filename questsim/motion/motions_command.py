@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+import textwrap
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ import numpy as np
 
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
-from questsim.motion.datasets import DATASETS, fetch
+from questsim.motion.datasets import DATASETS, fetch, is_fetched
 from questsim.motion.library import Library, save_library
 from questsim.motion.loaded import load_libraries, split_libraries
 from questsim.motion.many import Refused, Retargeted, read_many
@@ -183,6 +184,11 @@ def fetch_dataset(args: FetchArgs) -> None:
 
 def list_motions(args: ListMotionsArgs) -> None:
     """Prints the kinds, and on request the clips, that a motion argument contains."""
+    if not args.spec:
+        if args.clips:
+            raise InputError("--clips of no motions", fix="name them: questsim motions list WHAT")
+        _list_all()
+        return
     clips = load_motions(args.spec)
     groups: dict[tuple[str, str], list[Clip]] = defaultdict(list)
     for clip in clips:
@@ -197,6 +203,17 @@ def list_motions(args: ListMotionsArgs) -> None:
     if licences:
         credit = [d.credit for d in DATASETS.values() if d.name in args.spec]
         print(" ".join([f"licence: {', '.join(licences)}.", *credit]))
+
+
+def _list_all() -> None:
+    """Prints the datasets and the kinds of embedded motions."""
+    from questsim.motion.synthesis.synthetic import ACTIONS, KINDS, SEATED
+
+    for name, dataset in DATASETS.items():
+        here = "downloaded" if is_fetched(name) else f"get it with questsim motions fetch {name}"
+        print(f"{name}: {dataset.title}, licence {dataset.licence}; {here}")
+    kinds = textwrap.wrap(", ".join((*KINDS, *ACTIONS, *SEATED)), 94, break_on_hyphens=False)
+    print("\n  ".join(["synthetic:KIND+KIND, embedded motions; the kinds are", *kinds]))
 
 
 def _summary(clips: Sequence[Clip]) -> str:

@@ -20,6 +20,7 @@ from questsim.motion.checks import (
     MIN_CHILD_M,
     MIN_STATURE_M,
     MIN_UPRIGHT,
+    UNKNOWN_UNITS,
     Report,
     check,
     jump_at_start,
@@ -42,6 +43,8 @@ from questsim.skeleton import JOINTS
 USUAL_STATURE_M = 1.7
 """Of several plausible units, the one whose skeleton is nearest to this height is chosen."""
 DETECTED = "detected"
+MIN_UNITS = 1e-6
+"""A shorter skeleton has no size that could be scaled."""
 RESTS_UPRIGHT = 0.95
 """Cosine between up and a rest pose: who lies all the time is no evidence of the up axis."""
 CLEARLY = 0.3
@@ -248,12 +251,10 @@ def _units(recording: Recording, family: Family, options: ReadOptions) -> tuple[
         sized = to_motion(first, family, 1.0 / max(height, 1e-9), family.up or "y")
         if family.rest and (shape := proportion_problems(sized)):
             raise InputError("; ".join(shape), recording.path, MAPPING)
-        raise InputError(
-            f"the skeleton is {height:.3g} units tall, not a person's height in any of "
-            f"{', '.join(UNITS)}",
-            recording.path,
-            "declare the performer's height with --height",
-        )
+        if not height > MIN_UNITS:
+            raise InputError("the legs have no length", recording.path, "export the whole skeleton")
+        metres = USUAL_STATURE_M / height
+        return metres, f"{metres:.3g} m ({UNKNOWN_UNITS}; scaled to {USUAL_STATURE_M} m)"
     nearest = min(fitting, key=lambda unit: abs(np.log(height * UNITS[unit] / USUAL_STATURE_M)))
     tall = height * UNITS[nearest]
     if tall < MIN_STATURE_M:
