@@ -12,7 +12,13 @@ from rollouts import moving_clip, rollout, shifted, still_clip
 
 from questsim import evaluation_report, plots
 from questsim.errors import InputError
-from questsim.evaluation_report import FILES, check_writable, format_table, write_report
+from questsim.evaluation_report import (
+    FILES,
+    LABELS,
+    check_writable,
+    format_table,
+    write_report,
+)
 from questsim.metrics import SCHEMA, SCHEMA_VERSION, evaluate
 
 
@@ -245,3 +251,11 @@ def test_a_run_without_values_is_refused(tmp_path):
         plots.training_rows(tmp_path)
     with pytest.raises(InputError, match="no column"):
         plots.plot_training([{"steps": 1.0}], tmp_path / "x.png")
+
+
+def test_the_page_of_metrics_names_every_figure_by_its_key_and_by_its_label_in_the_table():
+    page = (Path(__file__).parents[1] / "docs/metrics.md").read_text(encoding="utf-8")
+    rows = [row for row in page.splitlines() if row.startswith("| `")]
+    for key, label in LABELS.items():
+        if key not in ("clips", "frames"):
+            assert any(f"`{key}`" in row and label.strip() in row for row in rows), key
