@@ -10,6 +10,7 @@ import { onlyInGlass } from "./figure.js";
 const MIRROR_Z = -2;
 const FLOOR_M = 30;
 const N_TO_M = 0.0008;
+const ASSIST_N_TO_M = 0.002;
 
 export function makeWorld() {
   const scene = new Scene();
@@ -183,21 +184,23 @@ export class Forces extends Group {
     const arrow = (colour) => new ArrowHelper(new Vector3(0, 1, 0), new Vector3(), 0.1, colour, 0.06, 0.04);
     this.feet = [arrow(0x1ea05a), arrow(0x1ea05a)];
     this.assist = arrow(0xd07a10);
+    // It begins inside the pelvis, which would hide it.
+    for (const part of this.assist.children) Object.assign(part, { renderOrder: 1 }).material.depthTest = false;
     this.add(...this.feet, this.assist);
   }
 
   show(pose) {
-    const at = (arrow, place, force) => {
+    const at = (arrow, place, force, scale) => {
       const size = force.length();
       arrow.visible = size > 5;
       if (!arrow.visible) return;
       arrow.position.copy(place);
       arrow.setDirection(force.clone().divideScalar(size));
-      arrow.setLength(Math.max(0.08, size * N_TO_M), 0.06, 0.04);
+      arrow.setLength(Math.max(0.08, size * scale), 0.06, 0.04);
     };
     const vector = (list, i) => new Vector3().fromArray(list, 3 * i);
-    [3, 6].forEach((link, i) => at(this.feet[i], vector(pose.p, link), vector(pose.force, i)));
-    at(this.assist, vector(pose.p, 0), vector(pose.assist, 0));
+    [3, 6].forEach((link, i) => at(this.feet[i], vector(pose.p, link), vector(pose.force, i), N_TO_M));
+    at(this.assist, vector(pose.p, 0), vector(pose.assist, 0), ASSIST_N_TO_M);
   }
 }
 
