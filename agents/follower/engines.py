@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from agents.agent import Agent
-from agents.follower.moving import MovingUser
+from agents.follower.moving import MovingUser, estimator
 from agents.follower.scene import PLAIN, Scene
 from agents.follower.states import (
     NO_OBJECTS,
@@ -219,6 +219,7 @@ class TorqueEngine(SimulatedEngine):
             layout = Layout.of(observation_layout(self._config))
             layout.check_provides(agent.policy.layout, agent.name)
         self.names = sensor_set(self._config.sensors)
+        estimator(self.names)  # loaded now, not while a user waits for the avatar
         self._window = self._config.future_frames
         self.latency_s = self._window / FPS
 
