@@ -31,6 +31,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 		{ echo "$(PYTHON) is older than 3.11: name a newer one, as in: make PYTHON=python3.12"; exit 1; }
 	@test -x $(PY) || $(PYTHON) -c 'import ensurepip' 2>/dev/null || \
 		{ echo "python3 cannot make virtual environments: apt-get install python3-venv"; exit 1; }
+	@echo "installing into $(VENV), which takes some minutes ..."
 	test -x $(PY) || $(PYTHON) -m venv $(VENV)
 	$(PY) -m pip install --quiet -c constraints.txt pip  # venv brings one that takes twice as long
 	PYTHONWARNINGS=ignore $(PY) -m pip install --quiet --no-compile $(PIP_FLAGS) -c constraints.txt -e ".[dev]"
