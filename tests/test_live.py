@@ -437,3 +437,17 @@ def test_a_session_is_filmed_with_its_push(tmp_path):
 
 def test_baselines_can_use_every_set_that_has_poses():
     assert DRIVERS["zero"]().sensor_sets() == ("H", "H+2C", "6T", "4T", "3T")
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [
+        ({"object": "bal"}, "ball"),
+        ({"terrain": "ruogh"}, "rough"),
+        ({"agent": "questim"}, "questsim"),
+    ],
+)
+def test_a_demo_refuses_what_it_cannot_show_before_its_page_opens(given, meant, monkeypatch):
+    monkeypatch.setattr("agents.live.demo.Page", None)
+    with pytest.raises(InputError, match=f"did you mean {meant}?"):
+        demo(DemoArgs(**given))

@@ -16,12 +16,13 @@ from agents.live.load_driver import load_driver
 from agents.live.options import NOTHING, DemoArgs, PlayArgs, WatchArgs
 from agents.live.recording import record
 from agents.live.runner import Runner
-from agents.live.session import DemoSession
+from agents.live.session import DemoSession, check_choices
 from agents.live.surroundings import needed_thing
 from agents.live.users import Recordings
 from agents.live.watcher import Checkpoint, Watcher, first_checkpoint, load_checkpoint
 from agents.resolve import (
     BASELINES,
+    resolve,
     shipped_policies,
     shipped_systems,
     with_physics,
@@ -49,6 +50,8 @@ def demo(args: DemoArgs) -> None:
     if args.video is not None:
         _write_video(args, args.video)
         return
+    resolve(args.agent)
+    check_choices(_settings(args, (), args.agent))
     with Page(args.host, args.port) as page:
         # The page opens before the motions are loaded and shows that it is loading.
         _announce(page)
@@ -107,7 +110,7 @@ def demo_session(args: DemoArgs) -> DemoSession:
 def _settings(args: WatchArgs, clips: Sequence[Clip], agent: str) -> Settings:
     """Initial settings of a session."""
     known = {clip.name: clip for clip in clips}
-    first = args.clip or (FIRST_CLIP if FIRST_CLIP in known else next(iter(known)))
+    first = args.clip or (FIRST_CLIP if FIRST_CLIP in known else next(iter(known), ""))
     needed = needed_thing(known[first]) if first in known else NOTHING
     return Settings(
         clip=first,

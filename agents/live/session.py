@@ -312,24 +312,7 @@ class DemoSession:
                 f"{settings.agent} cannot use sensors {settings.sensors!r}",
                 fix=f"choose from {', '.join(usable)}",
             )
-        for what, value in (("height", settings.height_m), ("avatar height", settings.avatar_m)):
-            height = _number(value, what)
-            if not MIN_HEIGHT_M <= height <= MAX_HEIGHT_M:
-                limits = f"{MIN_HEIGHT_M}-{MAX_HEIGHT_M} m"
-                raise InputError(f"{what} {height:g} m is not within {limits}")
-        if settings.terrain not in GROUNDS:
-            known = ", ".join(GROUNDS)
-            raise InputError(
-                f"there is no terrain {settings.terrain!r}", fix=f"choose from {known}"
-            )
-        if settings.object not in (NOTHING, *OBJECTS):
-            known = ", ".join(OBJECTS)
-            raise InputError(f"there is no object {settings.object!r}", fix=f"choose from {known}")
-        roughness = _number(settings.roughness, "roughness")
-        if not ROUGHNESS[0] <= roughness <= ROUGHNESS[1]:
-            raise InputError(
-                f"roughness {roughness:g} is not within {ROUGHNESS[0]:g} and {ROUGHNESS[1]:g}"
-            )
+        check_choices(settings)
         if settings.speed not in SPEEDS:
             raise InputError(f"speed {settings.speed!r} is not one of {SPEEDS}")
 
@@ -354,6 +337,30 @@ class DemoSession:
             float(settings.height_m),
         )
         return sim
+
+
+def check_choices(settings: Settings) -> None:
+    """Refuse heights, grounds, objects and roughness that no session has.
+
+    Raises:
+        InputError: names the setting.
+    """
+    for what, value in (("height", settings.height_m), ("avatar height", settings.avatar_m)):
+        height = _number(value, what)
+        if not MIN_HEIGHT_M <= height <= MAX_HEIGHT_M:
+            limits = f"{MIN_HEIGHT_M}-{MAX_HEIGHT_M} m"
+            raise InputError(f"{what} {height:g} m is not within {limits}")
+    if settings.terrain not in GROUNDS:
+        known = ", ".join(GROUNDS)
+        raise InputError(f"there is no terrain {settings.terrain!r}", fix=f"choose from {known}")
+    if settings.object not in (NOTHING, *OBJECTS):
+        known = ", ".join(OBJECTS)
+        raise InputError(f"there is no object {settings.object!r}", fix=f"choose from {known}")
+    roughness = _number(settings.roughness, "roughness")
+    if not ROUGHNESS[0] <= roughness <= ROUGHNESS[1]:
+        raise InputError(
+            f"roughness {roughness:g} is not within {ROUGHNESS[0]:g} and {ROUGHNESS[1]:g}"
+        )
 
 
 def _number(value: Any, what: str) -> float:
