@@ -225,7 +225,7 @@ def test_headset_alone_lets_the_arms_hang(follower):
 
 
 def test_an_avatar_that_fell_is_set_up_again_within_a_second():
-    follower = Follower("zero", height_m=1.75, objects=objects_named(["ball", "box"]))
+    follower = Follower("zero", "H", height_m=1.75, objects=objects_named(["ball", "box"]))
     frames = [shifted(frame, 2.0 * frame.time_s) for frame in stream(USER, [], 72.0)[0]]
     poses = followed(follower, frames)
     # The objects are a metre before the user, who looks along x, and apart from each other.
