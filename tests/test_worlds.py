@@ -186,7 +186,7 @@ def test_impossible_worlds_are_refused_in_one_line(words, wanted, library, tmp_p
 
 def test_environments_are_listed_and_described(capsys) -> None:
     assert main(["envs"]) == 0
-    assert "QuestSimStairs-v0   terrain='stairs'" in capsys.readouterr().out
+    assert "QuestSimStairs-v0   flights of five steps" in capsys.readouterr().out
     assert main(["envs", "--name", "QuestSimSlope-v0"]) == 0
     described = capsys.readouterr().out
     assert "475 numbers" in described and "slope_deg = 8.0  (0 to 30)" in described
