@@ -256,7 +256,9 @@ def test_the_state_of_a_walking_user_is_estimated_and_that_of_a_standing_one_is_
     for position, quat in zip(at[: begun + 40], turned[: begun + 40], strict=True):
         user.show(position, quat)
         alone.show(position[:1], quat[:1])
-    qpos, qvel = user.state()
+    state = user.state()
+    assert state is not None
+    qpos, qvel = state
     links, _ = link_poses(qpos[None], 1.75)
     truth = begun + 39 - late
     assert np.linalg.norm(links[0] - WALK.link_position[truth], axis=-1).mean() < 0.07

@@ -64,7 +64,7 @@ def main() -> None:
     with figure_file(PICTURE, 8.0, 0.3 * len(both) + 1.0) as figure:
         axis = figure.subplots()
         for number, label in enumerate(("people of the training", "other people")):
-            errors = [pair[number].pooled["mpjpe_cm"] for pair in both]
+            errors = np.array([pair[number].pooled["mpjpe_cm"] for pair in both], float)
             axis.barh(place + 0.2 - 0.4 * number, errors, 0.4, label=label)
         names = [f"{row.agent}, {row.scenario}" for row, _ in both]
         axis.set_yticks(place, names, fontsize=8)
