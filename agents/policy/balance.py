@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.policy.avatar_state import LEG_DOFS, AvatarState
+from agents.policy.observed_state import LEG_DOFS, ObservedState
 from agents.policy.spec import Layout
 from agents.policy.stepping import (
     CAPTURE_RATE,
@@ -138,7 +138,7 @@ class Balance(nn.Module):
         and velocity errors of the centre of mass, three numbers each. Those of ``Stepping`` or
         ``FootPlacement`` follow.
         """
-        state = AvatarState(obs.index_select(1, self.columns))
+        state = ObservedState(obs.index_select(1, self.columns))
         offset = self.centre * state.ratio[:, None]
         arm = state.rotated(offset)
         centre = self._mean(state.position + arm)
@@ -200,7 +200,7 @@ class Balance(nn.Module):
         """Mass-weighted mean over links: ``(n, 3)`` of ``(n, 16, 3)``."""
         return (of_links * self.mass_share[:, None]).sum(1)
 
-    def _basis(self, state: AvatarState, hinges: tuple[Tensor, Tensor], centre: Tensor) -> Tensor:
+    def _basis(self, state: ObservedState, hinges: tuple[Tensor, Tensor], centre: Tensor) -> Tensor:
         """``(n, 12, 3)`` action of each hinge of the legs for an acceleration."""
         axes, anchors = hinges
         # -(axis x (c - anchor)) . F: the hinge torque for which the floor force is F.
@@ -210,7 +210,7 @@ class Balance(nn.Module):
         return lever * (share * self.strength)[:, :, None]
 
     def _from_reference(
-        self, state: AvatarState, errors: Tensor, offset: Tensor, arm: Tensor
+        self, state: ObservedState, errors: Tensor, offset: Tensor, arm: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Position and velocity of the centre of mass, reference minus avatar, ``(n, 3)`` each."""
         place, turn, velocity, spin = errors.unbind(2)
@@ -224,7 +224,7 @@ class Balance(nn.Module):
         return self._mean(place + moved), self._mean(speed)
 
     def _from_feet(
-        self, state: AvatarState, centre: Tensor, velocity: Tensor
+        self, state: ObservedState, centre: Tensor, velocity: Tensor
     ) -> tuple[Tensor, Tensor]:
         """The same errors, horizontal, with the midpoint of the feet as target, ``(n, 3)`` each."""
         feet = list(FOOT_LINKS)

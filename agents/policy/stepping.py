@@ -25,7 +25,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.policy.avatar_state import LEG_DOFS, LEG_HINGES, AvatarState
+from agents.policy.observed_state import LEG_DOFS, LEG_HINGES, ObservedState
 from agents.policy.spec import initial_gains
 from questsim.skeleton import DOFS, FOOT_LINKS, NUM_DOFS
 
@@ -104,7 +104,7 @@ class Stepping(nn.Module):
 
     def terms(
         self,
-        state: AvatarState,
+        state: ObservedState,
         hinges: tuple[Tensor, Tensor],
         errors: Tensor,
         capture: Tensor,
@@ -115,7 +115,7 @@ class Stepping(nn.Module):
 
         Args:
             state: of ``n`` avatars.
-            hinges: axes of the legs' hinges and points on them, see ``AvatarState.hinges``.
+            hinges: axes of the legs' hinges and points on them, see ``ObservedState.hinges``.
             errors: ``(n, 16, 4, 3)`` the observation's tracking errors.
             capture: ``(n, 3)`` capture point, avatar minus reference, in m.
             strength: ``(12,)`` mass over torque limit of each hinge, kg / (N m).
@@ -160,7 +160,7 @@ class FootPlacement(nn.Module):
         self.softer = nn.Parameter(torch.full((LEG_DOFS,), SLIGHTLY))
 
     def terms(
-        self, state: AvatarState, hinges: tuple[Tensor, Tensor], strength: Tensor, weight_n: float
+        self, state: ObservedState, hinges: tuple[Tensor, Tensor], strength: Tensor, weight_n: float
     ) -> Tensor:
         """Terms ``(n, 62)``; see ``Stepping.terms`` for the arguments.
 
@@ -192,19 +192,19 @@ class FootPlacement(nn.Module):
         return _softness(self.softer, terms[:, -2:])
 
 
-def _swing(state: AvatarState, weight_n: float) -> Tensor:
+def _swing(state: ObservedState, weight_n: float) -> Tensor:
     """Share of swing ``(n, 2)`` of both feet: 1 without load, 0 from ``SWING`` of the weight."""
     return (1.0 - state.load / (SWING * weight_n)).clamp(0.0, 1.0)
 
 
-def _lever(state: AvatarState, hinges: tuple[Tensor, Tensor], strength: Tensor) -> Tensor:
+def _lever(state: ObservedState, hinges: tuple[Tensor, Tensor], strength: Tensor) -> Tensor:
     """``(n, 12, 3)`` action of each hinge for a unit acceleration of the body on its foot."""
     axes, anchors = hinges
     foot = state.position[:, list(FOOT_LINKS)].repeat_interleave(LEG_DOFS // 2, dim=1)
     return torch.linalg.cross(axes, foot - anchors) * strength[:, None]
 
 
-def _hip_share(state: AvatarState, weight_n: float) -> Tensor:
+def _hip_share(state: ObservedState, weight_n: float) -> Tensor:
     """Share ``(n, 12)`` of each hip hinge in turning the pelvis, by its leg's load; others 0."""
     load = state.load / (state.load.sum(1, keepdim=True) + SWING * weight_n)
     return load.repeat_interleave(LEG_DOFS // 2, dim=1) * HIPS

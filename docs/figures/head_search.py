@@ -20,8 +20,8 @@ import numpy as np
 import torch
 import tyro
 
-from agents.policy.avatar_state import LEG_DOFS
 from agents.policy.networks import TorquePolicy
+from agents.policy.observed_state import LEG_DOFS
 from agents.policy.policy_agent import head_alone
 from agents.policy.spec import Layout
 from agents.training.presets import TEACHER, TRACKING_REWARD

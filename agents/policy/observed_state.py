@@ -17,7 +17,7 @@ assert DOFS[:LEG_DOFS] == tuple(f"{side}_{hinge}" for side in SIDES for hinge in
 _HIP, _KNEE, _ANKLE = 3, 1, 2
 
 
-class AvatarState:
+class ObservedState:
     """The state of ``n`` avatars from ``o_sim`` and ``o_scale``, all in the frame S."""
 
     def __init__(self, columns: Tensor) -> None:
