@@ -60,7 +60,6 @@ DAMAGED = {
         ["skeleton", "motions mapping"],
     ),
     "nan": (frames_damaged("96.0000", "nan"), ["finite", "line"]),
-    "wrong-units": (str(BvhText(scale=0.004)), ["units"]),
 }
 
 

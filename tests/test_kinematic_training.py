@@ -151,7 +151,7 @@ def test_a_training_goes_on_with_another_number_of_workers_and_says_so(tmp_path,
         more = fit_of("dragposer", "vae", tmp_path, team=Two())
         more.resume()
         more.run(display, Stopper())
-    assert "number of workers (1 before, now 2): other windows are drawn" in capsys.readouterr().out
+    assert "number of workers (1 before, now 2): it draws other windows" in capsys.readouterr().out
     assert more.steps == 6
 
 
