@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any
@@ -9,11 +10,15 @@ from typing import Any
 import numpy as np
 
 from envs.registration import ENVIRONMENTS, register_id, terrain_id
-from envs.terrain_kinds import SHAPES, Shape
+from envs.terrain_kinds import BUILT_IN
 from questsim.errors import InputError, value_text
 from questsim.extensions import load_extensions, same_source
 from questsim.heightfield import HeightField
 
+Shape = Callable[["Terrain", np.ndarray, np.ndarray, np.random.Generator], np.ndarray]
+
+SHAPES: dict[str, Shape] = dict(BUILT_IN)
+"""The shape of each kind but a course: those of ``terrain_kinds`` and registered ones."""
 COURSE = "course"
 DIRECTIONS = ("any", "up", "down", "across")
 MARGIN_M = 1.5

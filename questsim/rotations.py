@@ -87,15 +87,6 @@ def quat_rotate(quat: np.ndarray, vec: np.ndarray) -> np.ndarray:
     return out
 
 
-def quat_to_6d(quat: np.ndarray) -> np.ndarray:
-    """First two columns of the rotation matrix, column after column ``(..., 6)``.
-
-    Source: Zhou et al., "On the Continuity of Rotation Representations", CVPR 2019.
-    """
-    matrix = quat_to_matrix(quat)
-    return np.concatenate([matrix[..., :, 0], matrix[..., :, 1]], axis=-1)
-
-
 def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Geodesic angle in radians ``(...)`` between quaternions wxyz ``(..., 4)``."""
     d = quat_multiply(quat_conjugate(a), b)

@@ -1,9 +1,10 @@
-"""Small clips for tests, made in milliseconds."""
+"""Small clips for tests, made in milliseconds, and the six numbers of an orientation."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from questsim import rotations as rot
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.kinematics import clip_from_qpos
 from questsim.skeleton import DOFS, NUM_DOFS
@@ -37,3 +38,9 @@ def swaying_clip(
     return clip_from_qpos(
         name, np.concatenate([root, angles], axis=-1), height_m, kind=kind, licence="MIT"
     )
+
+
+def two_columns(quat: np.ndarray) -> np.ndarray:
+    """First two columns of the rotation matrix, column after column ``(..., 6)``."""
+    matrix = rot.quat_to_matrix(quat)
+    return np.concatenate([matrix[..., :, 0], matrix[..., :, 1]], axis=-1)

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env as gym_check_env
-from helpers import swaying_clip
+from helpers import swaying_clip, two_columns
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from envs import BatchSim, EnvConfig, KinematicVecEnv, QuestEnv, QuestVecEnv, QuestVectorEnv
@@ -83,7 +83,7 @@ def _expected_observation(
         clip.link_position[rows], clip.link_quat[rows], SENSOR_SETS["H+2C"], clip.height_m
     )
     poses = np.concatenate(
-        [rot.quat_rotate(to_s, position - origin), rot.quat_to_6d(rot.quat_multiply(to_s, quat))],
+        [rot.quat_rotate(to_s, position - origin), two_columns(rot.quat_multiply(to_s, quat))],
         axis=-1,
     )
     return np.concatenate(
@@ -91,7 +91,7 @@ def _expected_observation(
             data.qpos[7:],
             data.qvel[6:],
             rot.quat_rotate(to_s, data.xpos[1:] - origin).ravel(),
-            rot.quat_to_6d(rot.quat_multiply(to_s, data.xquat[1:])).ravel(),
+            two_columns(rot.quat_multiply(to_s, data.xquat[1:])).ravel(),
             rot.quat_rotate(to_s, velocity[:, 3:]).ravel(),
             rot.quat_rotate(to_s, velocity[:, :3]).ravel(),
             rot.quat_rotate(to_s, sim.contact_force[i]).ravel(),

@@ -20,7 +20,7 @@ import yaml
 
 from agents.kinematic import registry
 from agents.run_folder import versions
-from envs import terrain, terrain_kinds
+from envs import terrain
 from questsim import extensions, reward
 from questsim.cli import main
 from questsim.errors import InputError
@@ -75,7 +75,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     tables: tuple[dict[str, Any], ...] = (
         reward.TERMS,
         terrain.TERRAINS,
-        terrain_kinds.SHAPES,
+        terrain.SHAPES,
         datasets.DATASETS,
         registry.AGENTS,
     )

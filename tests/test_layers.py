@@ -24,16 +24,17 @@ ORDER = (
 """Folders and modules of ``agents``: each imports only those before it."""
 
 
-def imports(source: str) -> set[str]:
+def imports(source: str, types: bool = False) -> set[str]:
     """What a module imports anywhere, also in functions and by importlib and a literal name.
 
-    What only a type checker imports is left out: it is never run. ``from x import y`` counts as
-    both ``x`` and ``x.y``, which may be a module.
+    What only a type checker imports counts with ``types``. ``from x import y`` counts as both
+    ``x`` and ``x.y``, which may be a module.
     """
     found, waiting = set(), [ast.parse(source)]
     while waiting:
         node = waiting.pop()
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+        checked = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        if isinstance(node, ast.If) and checked and not types:
             waiting += node.orelse
             continue
         waiting += list(ast.iter_child_nodes(node))
@@ -58,8 +59,8 @@ def imported_packages(source: str) -> set[str]:
 
 
 @cache
-def graph() -> dict[str, set[str]]:
-    """Which module of the project imports which."""
+def graph(types: bool = False) -> dict[str, set[str]]:
+    """Which module of the project imports which; with ``types`` also for a type checker alone."""
     paths = {}
     for package in PACKAGES:
         for path in (ROOT / package).rglob("*.py"):
@@ -68,7 +69,7 @@ def graph() -> dict[str, set[str]]:
     # A package is what its __init__ imports; ``from package import module`` is of the module.
     found = {}
     for name, path in paths.items():
-        known = {other for other in imports(path.read_text()) if other in paths} - {name}
+        known = {other for other in imports(path.read_text(), types) if other in paths} - {name}
         outer = {other.rpartition(".")[0] for other in known}
         found[name] = {
             other for other in known if other not in outer or paths[other].name != "__init__.py"
@@ -114,6 +115,11 @@ def test_no_module_imports_itself_by_way_of_others():
     assert circle(edges) is None
 
 
+def test_no_module_imports_itself_for_a_type_checker_either():
+    assert graph(types=True) != graph()
+    assert circle(graph(types=True)) is None
+
+
 def test_folders_of_agents_import_only_those_before_them():
     backward = []
     for module, imported in graph().items():
@@ -137,6 +143,7 @@ def f():
     importlib.import_module("benchmarks.x")
 """
     assert imported_packages(source) == {"agents", "envs", "benchmarks", "importlib", "typing"}
+    assert "docs.only_types" in imports(source, types=True)
 
 
 def test_the_check_sees_a_circle_of_three():

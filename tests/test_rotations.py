@@ -49,12 +49,6 @@ def test_angle_between_is_the_geodesic_angle_whatever_the_signs() -> None:
     assert rot.angle_between(a, -b) == pytest.approx(1.2)
 
 
-def test_six_numbers_are_the_first_two_columns() -> None:
-    q = quat(np.array([0.3, -0.4, 0.9]))
-    matrix = rot.quat_to_matrix(q)
-    np.testing.assert_allclose(rot.quat_to_6d(q), np.r_[matrix[:, 0], matrix[:, 1]])
-
-
 def test_angular_velocity_of_a_steady_spin() -> None:
     spin = np.array([0.2, -0.5, 1.5])
     turns = rot.as_quat(Rotation.from_rotvec(spin * np.arange(20)[:, None] / 36.0))

@@ -23,8 +23,7 @@ from agents.evaluation.rollout import env_config, roll_out
 from agents.evaluation.worlds import WORLDS, format_worlds, group_of, run_worlds
 from agents.training.options import TrainArgs
 from agents.training.train_policy import _outcome, train
-from envs.terrain import TERRAINS, Terrain, height_field
-from envs.terrain_kinds import SHAPES
+from envs.terrain import SHAPES, TERRAINS, Terrain, height_field
 from questsim import reward
 from questsim.cli import main
 from questsim.errors import InputError
