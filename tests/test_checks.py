@@ -17,6 +17,8 @@ from mocap_files import (
 
 from questsim.errors import InputError
 from questsim.motion.checks import centre_of_mass, check, free_fall, jumps, refuse, stature
+from questsim.motion.doubts import doubts
+from questsim.motion.families import LAFAN1
 from questsim.motion.motion import Motion
 from questsim.motion.reading import ReadOptions, read_motion
 from questsim.rotations import quat_multiply, yaw_quat
@@ -46,8 +48,31 @@ def test_units_are_detected_from_a_persons_height(scale, units, tmp_path):
 def test_units_that_make_no_person_are_refused(tmp_path, person):
     with pytest.raises(InputError, match=r"181 m tall in m .*wrong units.*--accept"):
         read_motion(person, ReadOptions(units="m"))
+
+
+@pytest.mark.parametrize("scale", [0.04, 1 / 30.48, 3000])
+def test_a_known_family_in_unknown_units_is_scaled_to_the_usual_height_with_a_warning(
+    scale, tmp_path
+):
+    motion, report = read_motion(scaled_file(tmp_path / "a.bvh", scale))
+    assert stature(motion) == pytest.approx(1.7, abs=1e-3)
+    assert motion.forward_kinematics()[0][0, :, 2].min() == pytest.approx(0.0, abs=0.1)
+    assert any("scaled to 1.7 m; declare" in doubt for doubt in doubts(motion, report))
+
+
+def test_a_child_of_a_known_family_is_scaled_to_the_smallest_avatar(tmp_path):
+    motion, report = read_motion(scaled_file(tmp_path / "a.bvh", 0.6))
+    assert stature(motion) == pytest.approx(1.2, abs=1e-3)
+    assert "cm (as LAFAN1 files; 1.09 m tall, scaled to 1.2 m)" in str(report)
+
+
+def test_units_of_a_mapping_file_that_make_no_person_are_refused(tmp_path):
+    rig = tmp_path / "rig.toml"
+    rows = [f'{ours} = "{theirs}"' for ours, theirs in LAFAN1.joints.items()]
+    axes = [f'{ours} = "{axes}"' for ours, axes in LAFAN1.axes.items()]
+    rig.write_text("\n".join(['units = "cm"', "[joints]", *rows, "[axes]", *axes]))
     with pytest.raises(InputError, match="wrong units"):
-        read_motion(scaled_file(tmp_path / "b.bvh", 0.04))
+        read_motion(scaled_file(tmp_path / "a.bvh", 0.04), ReadOptions(mapping=str(rig)))
 
 
 @pytest.mark.parametrize("up", ["y", "z", "x", "-z"])

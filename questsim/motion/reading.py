@@ -185,14 +185,14 @@ def _on_own_skeleton(
         "skeleton": family.name,
         "foot_pitch": family.foot_pitch,
     }
-    usual = f"as {family.name} files"
-    if family.units and family.up and not (options.units or options.up or options.height_m):
-        motion, notes = _motion(recording, family, UNITS[family.units], family.up, about)
-        report = check(motion, f"{family.units} ({usual})", f"{family.up} ({usual})")
+    metres, units = _units(recording, family, options, declared=declared is not None)
+    usual = bool(family.units and family.up and metres == UNITS[family.units])
+    if usual and not (options.units or options.up or options.height_m):
+        motion, notes = _motion(recording, family, metres, family.up or "y", about)
+        report = check(motion, units, f"{family.up} (as {family.name} files)")
         if not report.problems:
             report = replace(report, **said | {"notes": (*recording.notes, *notes)})
-            return motion, _with_order(report, recording, family, motion, family.up)
-    metres, units = _units(recording, family, options)
+            return motion, _with_order(report, recording, family, motion, family.up or "y")
     up, up_note = _up_axis(recording, family, options)
     if up_note == DETECTED:
         has_rest_frame = len(recording.positions) < len(whole.positions)
@@ -231,10 +231,13 @@ def _with_order(
     return replace(report, problems=(*report.problems, problem)) if problem else report
 
 
-def _units(recording: Recording, family: Family, options: ReadOptions) -> tuple[float, str]:
+def _units(
+    recording: Recording, family: Family, options: ReadOptions, *, declared: bool
+) -> tuple[float, str]:
     """Metres per file unit, the name of the units and how they were determined.
 
-    A family's usual units are used only if they give a plausible human height.
+    A family's usual units are used only if they give a plausible human height. Those of a mapping
+    file (``declared``) are the user's word: if no units fit, they stay, and the checks refuse them.
     """
     if options.units:
         return UNITS[options.units], f"{options.units} (declared)"
@@ -245,22 +248,30 @@ def _units(recording: Recording, family: Family, options: ReadOptions) -> tuple[
         metres = options.height_m / max(height, 1e-9)
         return metres, f"{metres:.3g} m (declared height)"
     fitting = [u for u, m in UNITS.items() if MIN_CHILD_M <= height * m <= MAX_STATURE_M]
-    if family.units in fitting or (family.units and not fitting):
+    if family.units and declared and not fitting:
         return UNITS[family.units], f"{family.units} (as {family.name} files)"
     if not fitting:
-        sized = to_motion(first, family, 1.0 / max(height, 1e-9), family.up or "y")
-        if family.rest and (shape := proportion_problems(sized)):
-            raise InputError("; ".join(shape), recording.path, MAPPING)
-        if not height > MIN_UNITS:
-            raise InputError("the legs have no length", recording.path, "export the whole skeleton")
-        metres = USUAL_STATURE_M / height
-        return metres, f"{metres:.3g} m ({UNKNOWN_UNITS}; scaled to {USUAL_STATURE_M} m)"
+        return _unknown_units(first, family, height)
     nearest = min(fitting, key=lambda unit: abs(np.log(height * UNITS[unit] / USUAL_STATURE_M)))
+    how = "detected"
+    if family.units in fitting:
+        nearest, how = family.units, f"as {family.name} files"
     tall = height * UNITS[nearest]
     if tall < MIN_STATURE_M:
-        note = f"detected; {tall:.2f} m tall, scaled to {MIN_STATURE_M} m"
+        note = f"{how}; {tall:.2f} m tall, scaled to {MIN_STATURE_M} m"
         return UNITS[nearest] * MIN_STATURE_M / tall, f"{nearest} ({note})"
-    return UNITS[nearest], f"{nearest} (detected)"
+    return UNITS[nearest], f"{nearest} ({how})"
+
+
+def _unknown_units(first: Recording, family: Family, height: float) -> tuple[float, str]:
+    """Metres per file unit of a skeleton that no known units make a person's height."""
+    sized = to_motion(first, family, 1.0 / max(height, 1e-9), family.up or "y")
+    if shape := proportion_problems(sized):
+        raise InputError("; ".join(shape), first.path, MAPPING if family.rest else "export it anew")
+    if not height > MIN_UNITS:
+        raise InputError("the legs have no length", first.path, "export the whole skeleton")
+    metres = USUAL_STATURE_M / height
+    return metres, f"{metres:.3g} m ({UNKNOWN_UNITS}; scaled to {USUAL_STATURE_M} m)"
 
 
 def _up_axis(recording: Recording, family: Family, options: ReadOptions) -> tuple[str, str]:
