@@ -445,9 +445,28 @@ def test_baselines_can_use_every_set_that_has_poses():
         ({"object": "bal"}, "ball"),
         ({"terrain": "ruogh"}, "rough"),
         ({"agent": "questim"}, "questsim"),
+        ({"motions": "synthetic:stand", "clip": "synthetic-stand-33"}, "synthetic-stand-3"),
     ],
 )
 def test_a_demo_refuses_what_it_cannot_show_before_its_page_opens(given, meant, monkeypatch):
     monkeypatch.setattr("agents.live.demo.Page", None)
     with pytest.raises(InputError, match=f"did you mean {meant}?"):
         demo(DemoArgs(**given))
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"terrain": "ruogh"}, "did you mean rough"),
+        ({"height": 9.0}, "height 9 m is not within"),
+        ({"motions": "nothere"}, "no motions 'nothere'"),
+        ({"motions": "synthetic:stand", "clip": "WRONG"}, "there is no clip 'WRONG'"),
+    ],
+)
+def test_play_refuses_what_it_cannot_show_before_it_waits_for_a_run(
+    given, message, tmp_path, monkeypatch
+):
+    for never in ("Page", "first_checkpoint"):
+        monkeypatch.setattr(f"agents.live.demo.{never}", None)
+    with pytest.raises(InputError, match=message):
+        play(PlayArgs(tmp_path, **given))

@@ -16,7 +16,7 @@ from agents.live.load_driver import load_driver
 from agents.live.options import NOTHING, DemoArgs, PlayArgs, WatchArgs
 from agents.live.recording import record
 from agents.live.runner import Runner
-from agents.live.session import DemoSession, check_choices
+from agents.live.session import DemoSession, check_choices, check_clip
 from agents.live.surroundings import needed_thing
 from agents.live.users import Recordings
 from agents.live.watcher import Checkpoint, Watcher, first_checkpoint, load_checkpoint
@@ -52,10 +52,13 @@ def demo(args: DemoArgs) -> None:
         return
     resolve(args.agent)
     check_choices(_settings(args, (), args.agent))
+    # The page opens before the embedded motions are made and shows that it is loading. Motions and
+    # clips that the user names may not exist: they are looked for first.
+    named = args.clip is not None or args.motions != DemoArgs.motions
+    clips = _clips(args.motions, args.clip, args.seed) if named else None
     with Page(args.host, args.port) as page:
-        # The page opens before the motions are loaded and shows that it is loading.
         _announce(page)
-        watch(page, demo_session(args))
+        watch(page, demo_session(args, clips))
 
 
 def play(args: PlayArgs) -> None:
@@ -65,12 +68,16 @@ def play(args: PlayArgs) -> None:
         InputError: there is no training in the folder, or an argument cannot be used.
     """
     torch.set_num_threads(1)
+    name = args.run.resolve().name
+    check_choices(_settings(args, (), name))
+    given = None if args.motions is None else _clips(args.motions, args.clip)
     checkpoint = first_checkpoint(args.run)
     motions = args.motions or _trained_on(checkpoint)
-    name = args.run.resolve().name
+    if args.clip is not None and given is None:
+        given = _clips(motions, args.clip)
     with Page(args.host, args.port, f"QuestSim {name}") as page:
         _announce(page)
-        clips = _clips(motions, args.clip)
+        clips = _clips(motions, args.clip) if given is None else given
         recordings = Recordings(motions, clips)
         checkpoint = first_checkpoint(args.run)  # a newer one may exist by now
         driver, note = load_checkpoint(args.run, checkpoint, recordings)
@@ -100,9 +107,15 @@ def watch(page: Page, session: DemoSession, stop: threading.Event | None = None)
         raise runner.failure
 
 
-def demo_session(args: DemoArgs) -> DemoSession:
-    """A session with all shipped agents, the baselines and the given agent."""
-    clips = _clips(args.motions, args.clip, args.seed)
+def demo_session(args: DemoArgs, clips: Sequence[Clip] | None = None) -> DemoSession:
+    """A session with all shipped agents, the baselines and the given agent.
+
+    Args:
+        args: the options.
+        clips: of these options, if they are loaded already.
+    """
+    if clips is None:
+        clips = _clips(args.motions, args.clip, args.seed)
     drivers = available_drivers(Recordings(args.motions, clips, args.seed), args.agent)
     return DemoSession(clips, drivers, _settings(args, clips, args.agent))
 
@@ -125,10 +138,16 @@ def _settings(args: WatchArgs, clips: Sequence[Clip], agent: str) -> Settings:
 
 
 def _clips(motions: str, wanted: str | None, seed: int = 0) -> Sequence[Clip]:
-    """Clips of every kind of motion, at most ``MOST_CLIPS``, including the wanted one."""
+    """Clips of every kind of motion, at most ``MOST_CLIPS``, including the wanted one.
+
+    Raises:
+        InputError: there are no such motions, or the wanted clip is not among them.
+    """
     from questsim.motion.spec import load_motions
 
     clips = load_motions(motions, seed=seed)
+    if wanted is not None:
+        check_clip(wanted, [clip.name for clip in clips])
     if len(clips) <= MOST_CLIPS:
         return clips
     chosen = choose_clips(clips, MOST_CLIPS)

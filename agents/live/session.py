@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -302,10 +302,7 @@ class DemoSession:
         Raises:
             InputError: names the setting.
         """
-        if settings.clip not in self._clips:
-            near = did_you_mean(settings.clip, self._clips)
-            fix = f"{near}questsim motions list names the clips"
-            raise InputError(f"there is no clip {settings.clip!r}", fix=fix)
+        check_clip(settings.clip, self._clips)
         usable = self._driver(settings.agent).sensor_sets()
         if settings.sensors not in usable:
             raise InputError(
@@ -337,6 +334,18 @@ class DemoSession:
             float(settings.height_m),
         )
         return sim
+
+
+def check_clip(name: str, clips: Iterable[str]) -> None:
+    """Refuse a clip that is not among these names.
+
+    Raises:
+        InputError: with the nearest name.
+    """
+    clips = list(clips)
+    if name not in clips:
+        fix = f"{did_you_mean(name, clips)}questsim motions list names the clips"
+        raise InputError(f"there is no clip {name!r}", fix=fix)
 
 
 def check_choices(settings: Settings) -> None:
