@@ -22,7 +22,7 @@ from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
 from questsim.motion.clip import FPS
-from questsim.motion.kinematics import standing_clip
+from questsim.motion.kinematics import standing_devices
 from questsim.sensors import device_poses
 from questsim.skeleton import FOOT_LINKS, LINKS
 
@@ -216,11 +216,8 @@ def headsets(sim: BatchSim) -> np.ndarray:
 
 def standing_headsets(heights: np.ndarray) -> np.ndarray:
     """Heights above the floor of the headsets of people of these statures, both ``(n,)`` m."""
-    standing = standing_clip(DEFAULT_HEIGHT_M)
-    at, _ = device_poses(
-        standing.link_position[0], standing.link_quat[0], ["headset"], DEFAULT_HEIGHT_M
-    )
-    return heights * at[0, 2] / DEFAULT_HEIGHT_M
+    upright = standing_devices(["headset"], DEFAULT_HEIGHT_M)
+    return heights * upright[0, 2] / DEFAULT_HEIGHT_M
 
 
 def _distance(error: np.ndarray) -> np.ndarray:

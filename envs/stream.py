@@ -155,6 +155,19 @@ class StreamSim(BatchSim):
         elif len(reference.torque):
             reference.torque[:] = 0.0
 
+    def shown_pose(self, row: int = NOW + 1) -> tuple[np.ndarray, np.ndarray]:
+        """``qpos`` ``(40,)`` and ``qvel`` ``(39,)`` of a row of the window, over a level floor.
+
+        Args:
+            row: of the window; as of ``shown_devices``, by default the present after a step.
+        """
+        ratio = self.height_m / DEFAULT_HEIGHT_M
+        qpos = self.reference.qpos[row].astype(float)
+        qvel = self.reference.qvel[row].astype(float)
+        qpos[:3] *= ratio
+        qvel[:3] *= ratio
+        return qpos, qvel
+
     def look(self) -> np.ndarray:
         """Observe the present state and the window; ``observation``, ``(1, size)``."""
         self.frame[:] = NOW

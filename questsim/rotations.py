@@ -132,6 +132,24 @@ def resample_quat(quat: np.ndarray, times: np.ndarray, new_times: np.ndarray) ->
     return as_quat(turned, (len(new_times), *quat.shape[1:-1]))
 
 
+def resample_points(points: np.ndarray, times: np.ndarray, new_times: np.ndarray) -> np.ndarray:
+    """Points ``(T, ..., 3)`` at ``times`` ``(T,)``, interpolated linearly to ``new_times``."""
+    columns = points.reshape(len(points), -1).T
+    at = np.stack([np.interp(new_times, times, column) for column in columns], axis=-1)
+    return at.reshape(*new_times.shape, *points.shape[1:])
+
+
+def resample_poses(
+    position: np.ndarray, quat: np.ndarray, times: np.ndarray, new_times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Poses ``(T, ..., 3)``, ``(T, ..., 4)`` at ``times``, interpolated to ``new_times`` ``(N,)``.
+
+    The quaternions may change their signs from frame to frame.
+    """
+    at = resample_points(position, times, new_times)
+    return at, resample_quat(continuous(quat), times, new_times)
+
+
 def angular_velocity(quat: np.ndarray, fps: float) -> np.ndarray:
     """World angular velocity in rad/s ``(T, ..., 3)`` of quaternions ``(T, ..., 4)``.
 

@@ -118,10 +118,9 @@ def _devices_at(
         if len(known) < 2:
             continue
         at = np.array([pose.position for _, pose in seen])
-        turned = rot.continuous(np.array([pose.quat for _, pose in seen]))
+        turned = np.array([pose.quat for _, pose in seen])
         inside = np.clip(times, known[0], known[-1])
-        position[:, d] = np.stack([np.interp(inside, known, c) for c in at.T], -1)
-        quat[:, d] = rot.resample_quat(turned, known, inside)
+        position[:, d], quat[:, d] = rot.resample_poses(at, turned, known, inside)
         after = np.clip(np.searchsorted(known, times), 1, len(known) - 1)
         near = (known[after] - known[after - 1] < 0.1) | np.isin(times, known)
         present[:, d] = near & (times >= known[0]) & (times <= known[-1])

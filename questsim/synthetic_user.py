@@ -248,10 +248,7 @@ def _seen(
     times = np.arange(0.0, known[-1], 1.0 / rate_hz)
     times = np.clip(times + rng.uniform(-jitter_s, jitter_s, len(times)), 0.0, known[-1])
     times = np.unique(times[rng.random(len(times)) >= loss])
-    flat = position.reshape(len(position), -1)
-    at = np.stack([np.interp(times, known, column) for column in flat.T], -1)
-    at = at.reshape(len(times), len(names), 3)
-    turned = rot.resample_quat(rot.continuous(quat), known, times)
+    at, turned = rot.resample_poses(position, quat, known, times)
     for row, name in enumerate(names):
         offset, turn = user.mounts.get(name, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
         at[:, row] += rot.quat_rotate(turned[:, row], np.array(offset, float))

@@ -270,8 +270,12 @@ def test_the_state_of_a_walking_user_is_estimated_and_that_of_a_standing_one_is_
     assert user.state() is None
 
 
-def test_an_avatar_that_fell_while_its_user_walks_is_set_up_in_the_pose_of_the_walk():
-    follower = Follower("zero", height_m=1.75)
+@pytest.mark.parametrize("agent", ["zero", "hmdposer+physics"])
+def test_an_avatar_that_fell_while_its_user_walks_is_set_up_in_the_pose_of_the_walk(
+    agent, monkeypatch
+):
+    monkeypatch.setattr("agents.follower.follower.load_agent", lambda _: ZeroAgent())
+    follower = Follower(agent, height_m=1.75)
     frames, (span,) = stream(USER, [WALK], 72.0)
     poses = followed(follower, cut(frames, span.start_s + 1.0, span.end_s - 1.5))
     falls = [pose for pose in poses if "the avatar fell: set up again" in pose.events]

@@ -22,8 +22,7 @@ import numpy as np
 
 from questsim import rotations as rot
 from questsim.devices import DeviceFrame
-from questsim.motion.kinematics import standing_clip
-from questsim.sensors import device_poses
+from questsim.motion.kinematics import standing_devices
 
 BRIDGE_S = 0.5
 NEAR_M, NEAR_RAD = 0.5, np.radians(60.0)
@@ -243,8 +242,7 @@ class SilentDevices:
     """
 
     def __init__(self, names: Sequence[str], height_m: float) -> None:
-        standing = standing_clip(height_m)
-        at, _ = device_poses(standing.link_position[0], standing.link_quat[0], names, height_m)
+        at = standing_devices(names, height_m)
         self._rest = at - at[0]
         count = len(names)
         self._held, self._held_quat = self._rest.copy(), np.tile(IDENTITY, (count, 1))

@@ -29,7 +29,7 @@ from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
 from questsim.devices import UNIT_TOLERANCE, DeviceFrame, DevicePose
 from questsim.errors import InputError
 from questsim.files import whole_file
-from questsim.motion.kinematics import standing_clip
+from questsim.motion.kinematics import standing_clip, standing_devices
 from questsim.sensors import DEVICES, device_poses
 from questsim.skeleton import LINKS
 
@@ -200,8 +200,7 @@ def calibrate(
     height, floor = _height_and_floor(float(head.position[2]), height_m, floor_m)
     looked = float(rot.heading(head.quat))
     found = Calibration(height, floor, looked)  # refuses a stature out of range
-    standing = standing_clip(height)
-    upright, _ = device_poses(standing.link_position[0], standing.link_quat[0], ["headset"], height)
+    upright = standing_devices(["headset"], height)
     mounts = {"headset": _headset_mount(head, looked, floor, upright[0, 2])}
     hands = {
         side: hand

@@ -2,7 +2,8 @@
 
 - ``TorqueEngine``: a policy that reads devices at 36 Hz, on simulated physics.
 - ``PoseEngine``: a kinematic system at 60 Hz; its poses are shown directly.
-- ``PhysicsEngine``: a tracker follows a kinematic system's poses on simulated physics.
+- ``PhysicsEngine`` (``physics_engine.py``): a tracker follows a kinematic system's poses on
+  simulated physics.
 
 Each processes one moment of the devices at a time, in constant time and memory.
 """
@@ -19,35 +20,25 @@ from agents.follower.scene import PLAIN, Scene
 from agents.follower.states import (
     NO_OBJECTS,
     AvatarState,
-    between_poses,
-    between_qpos,
     resting_state,
 )
 from agents.follower.system_poses import SystemPoses, live_set
 from agents.kinematic.interface import KinematicSystem
-from agents.kinematic.physics_behind import BEGINNING_FRAMES
 from agents.policy.policy_agent import PolicyAgent
 from agents.policy.spec import Layout
 from agents.resolve import PHYSICS
 from envs.assist import Assist, checked_bound, headsets
 from envs.config import EnvConfig
 from envs.layout import observation_layout
-from envs.objects import WorldObject
-from envs.stream import AHEAD, NOW, StreamSim
+from envs.stream import NOW, StreamSim
 from envs.terrain import Terrain, height_field
-from questsim.body import DEFAULT_HEIGHT_M, build_body
 from questsim.errors import InputError
 from questsim.joint_sensors import SENSOR_FPS
 from questsim.motion.clip import FPS
-from questsim.motion.inverse_dynamics import InverseDynamics
-from questsim.motion.kinematics import clip_from_qpos
-from questsim.motion.motion import Motion
 from questsim.sensors import sensor_set
 from questsim.skeleton import NUM_DOFS
 
 QPOS = 7 + NUM_DOFS
-_POSES = 5
-"""Number of poses from which velocity and acceleration of the middle one are computed."""
 
 
 class Engine(ABC):
@@ -99,8 +90,13 @@ class Engine(ABC):
         """Start a new stream with devices at ``(D, 3)``, ``(D, 4)``."""
 
     @abstractmethod
-    def put(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
-        """Put the avatar into a pose ``(40,)`` with velocities ``(39,)``."""
+    def put(self, qpos: np.ndarray, qvel: np.ndarray, in_motion: bool = False) -> None:
+        """Put the avatar into a pose ``(40,)`` with velocities ``(39,)``.
+
+        Args:
+            qpos, qvel: of the avatar.
+            in_motion: whether they are those of ``moving_user``.
+        """
 
     def moving_user(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Estimated pose and velocities of a user in motion, as ``put`` takes them, or None."""
@@ -149,7 +145,7 @@ class SimulatedEngine(Engine):
         """See ``Engine``."""
         return self._sim.objects.pose[0].copy()
 
-    def put(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
+    def put(self, qpos: np.ndarray, qvel: np.ndarray, in_motion: bool = False) -> None:
         """See ``Engine``."""
         self._sim.put(qpos, qvel)
         self._agent.reset(1)
@@ -285,7 +281,7 @@ class PoseEngine(Engine):
         self._poses.reset()
         self._user = position, quat
 
-    def put(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
+    def put(self, qpos: np.ndarray, qvel: np.ndarray, in_motion: bool = False) -> None:
         """Does nothing: the next pose is the system's."""
 
     def user_devices(self) -> tuple[np.ndarray, np.ndarray]:
@@ -302,104 +298,3 @@ class PoseEngine(Engine):
             qpos[2] += float(self._field.ground_at(qpos[None, :3])[0])
         time_s -= self._system.future_frames / SENSOR_FPS
         return resting_state(time_s, qpos)
-
-
-class PhysicsEngine(SimulatedEngine):
-    """A tracker follows the poses of a kinematic system on simulated physics.
-
-    Args:
-        system: reads devices at 60 Hz.
-        tracker: reads a full-body reference, at 36 Hz.
-        sensors: as of ``PoseEngine``.
-        objects: on the ground before the avatar.
-
-    Raises:
-        InputError: the system cannot use these devices, or they are IMUs.
-    """
-
-    rate_hz = SENSOR_FPS
-
-    def __init__(
-        self,
-        system: KinematicSystem,
-        tracker: Agent,
-        sensors: str | None = None,
-        objects: tuple[WorldObject, ...] = (),
-    ) -> None:
-        self.names = live_set(system, sensors)
-        self._system = system
-        needs = tracker.needs
-        config = EnvConfig(
-            sensors="H",
-            future_frames=needs.future_frames,
-            privileged=needs.privileged,
-            body_preset=needs.body_preset,
-            observe_proportions=needs.observe_proportions,
-            objects=objects,
-        )
-        super().__init__(tracker, config)
-        # Sources of delay: the velocity of a reference frame needs the next one (the step wins one
-        # back), frames of 60 and 36 Hz do not coincide, and states are interpolated.
-        self._late = system.future_frames / SENSOR_FPS
-        self.latency_s = AHEAD / FPS + 1.0 / SENSOR_FPS + self._late
-
-    def build(self, height_m: float) -> None:
-        """See ``Engine``."""
-        super().build(height_m)
-        self._poses = SystemPoses(self._system, self.names, height_m)
-        self._dynamics = InverseDynamics()
-        self._limits = build_body().torque_limits
-
-    def begin(self, position: np.ndarray, quat: np.ndarray) -> None:
-        """See ``Engine``."""
-        self._poses.reset()
-        self._pose: Motion | None = None
-        self._count, self._frame = 0, 0
-        self._last: list[np.ndarray] = []
-        self._users = [(position, quat)] * (AHEAD + 1)
-        self._blend = 0
-
-    def put(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
-        """See ``Engine``; the reference blends from this pose to the system's."""
-        super().put(qpos, qvel)
-        self._last = [qpos.copy() for _ in range(_POSES)]
-        still = clip_from_qpos("pose", np.array(self._last), self.height_m)
-        self._sim.show_pose(still, 1, None, fill=True)
-        self._start, self._blend = qpos.copy(), BEGINNING_FRAMES
-
-    def user_devices(self) -> tuple[np.ndarray, np.ndarray]:
-        """See ``Engine``; the step has used the first of the kept ones."""
-        return self._users[1]
-
-    def feed(
-        self, time_s: float, position: np.ndarray, quat: np.ndarray, present: np.ndarray
-    ) -> AvatarState | None:
-        """See ``Engine``."""
-        pose = self._poses.feed(position, quat, present)
-        before, self._pose = self._pose or pose, pose
-        moment = self._count / SENSOR_FPS
-        due = self._frame / FPS
-        self._count += 1
-        if due > moment + 1e-9:
-            return None
-        share = 1.0 - (moment - due) * SENSOR_FPS
-        self._frame += 1
-        qpos = self._poses.retargeted(between_poses(before, pose, share))
-        self._users = [*self._users[1:], (position, quat)]
-        self._show(qpos)
-        headset = self._users[0][0][0], self._users[0][1][0]
-        late_s = moment - due + self._late + (AHEAD - 1) / FPS
-        return self._step(headset, time_s - late_s)
-
-    def _show(self, qpos: np.ndarray) -> None:
-        """Advance the tracker's window by the last pose that has both neighbours."""
-        if self._blend:
-            share = 1.0 - self._blend / (BEGINNING_FRAMES + 1)
-            qpos = between_qpos(self._start, qpos, share)
-            self._blend -= 1
-        self._last = [*self._last[1:], qpos]
-        clip = clip_from_qpos("poses", np.array(self._last), self.height_m)
-        common = clip.scaled(DEFAULT_HEIGHT_M)
-        acceleration = 0.5 * FPS * (common.qvel[3] - common.qvel[1])
-        forces = self._dynamics.at(common.qpos[2], common.qvel[2], acceleration)
-        self._sim.show_pose(clip, _POSES - 2, forces[6:] / self._limits)

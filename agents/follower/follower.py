@@ -12,7 +12,8 @@ import numpy as np
 from agents.agent import Agent
 from agents.follower.bridge import Bridge, DeviceMoment
 from agents.follower.calibration import Calibration, calibrate
-from agents.follower.engines import Engine, PhysicsEngine, PoseEngine, TorqueEngine
+from agents.follower.engines import Engine, PoseEngine, TorqueEngine
+from agents.follower.physics_engine import PhysicsEngine
 from agents.follower.scene import PLAIN, Scene
 from agents.follower.stance import estimated_pose
 from agents.follower.states import AvatarState, between_states, resting_state
@@ -180,12 +181,13 @@ class Follower:
             velocity: ``(3,)`` of the whole body, unless the user's motion can be estimated.
         """
         engine = self._engine
-        if (moving := engine.moving_user()) is not None:
+        moving = engine.moving_user()
+        if moving is not None:
             qpos, qvel = moving
         else:
             qpos = estimated_pose(engine.names, *engine.user_devices(), engine.height_m)
             qvel = np.concatenate([velocity, np.zeros(3 + NUM_DOFS)])
-        engine.put(qpos, qvel)
+        engine.put(qpos, qvel, in_motion=moving is not None)
         self._states.clear()
         self._states.append(resting_state(time_s, qpos, engine.objects))
         self._lost_s = 0.0

@@ -7,6 +7,7 @@ it falls at once. A user who stands is estimated by ``stance`` instead, with bot
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -32,6 +33,17 @@ MOVES_M_S = 0.3
 """A user whose headset moves faster than this on average, level, is in motion."""
 _FRAMES, _LEAST = 36, 18
 """Number of frames that are kept, and without which nothing is estimated: a half second."""
+
+
+def level_speed(headset: Sequence[np.ndarray]) -> float:
+    """Mean level speed in m/s over the last half second of places ``(3,)`` at 36 Hz.
+
+    0 if there are fewer places.
+    """
+    if len(headset) < _LEAST:
+        return 0.0
+    moved = headset[-1][:2] - headset[-_LEAST][:2]
+    return float(np.linalg.norm(moved)) * FPS / (_LEAST - 1)
 
 
 class MovingUser:
@@ -61,10 +73,7 @@ class MovingUser:
     @property
     def speed(self) -> float:
         """Mean level speed of the headset in the last half second, m/s; 0 if it is not known."""
-        if len(self._frames) < _LEAST:
-            return 0.0
-        moved = self._frames[-1][0][0, :2] - self._frames[-_LEAST][0][0, :2]
-        return float(np.linalg.norm(moved)) * FPS / (_LEAST - 1)
+        return level_speed([position[0] for position, _ in self._frames])
 
     def state(self) -> tuple[np.ndarray, np.ndarray] | None:
         """The user's present ``qpos`` ``(40,)`` and ``qvel`` ``(39,)``, with the head in its place.
@@ -97,13 +106,13 @@ class MovingUser:
         count = int(known[-1] * SENSOR_FPS) + 1
         times = known[-1] - np.arange(count)[::-1] / SENSOR_FPS
         position, quat = (np.array(each) for each in zip(*self._frames, strict=True))
-        at = [np.interp(times, known, column) for column in position.reshape(len(known), -1).T]
+        at, turned = rot.resample_poses(position, quat, known, times)
         shape = (count, len(self._names))
         return SensorSequence(
             time_s=times - times[0],
             names=self._names,
-            position=np.stack(at, -1).reshape(*shape, 3),
-            quat=rot.resample_quat(rot.continuous(quat), known, times),
+            position=at,
+            quat=turned,
             acceleration=np.zeros((*shape, 3)),
             present=np.ones(shape, bool),
         )
@@ -113,7 +122,7 @@ class MovingUser:
         known = np.arange(len(self._frames)) / FPS
         path = np.array([position[0, :2] for position, _ in self._frames])
         then = known[-1] - self._ahead_s
-        at = np.array([np.interp(then, known, column) for column in path.T])
+        at = rot.resample_points(path, known, np.array(then))
         return at + max(then - known[-1], 0.0) * FPS * (path[-1] - path[-2])
 
     def _own_headset(self, qpos: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from questsim import rotations as rot
 from questsim.body import build_body
-from questsim.motion.kinematics import sole_positions, standing_clip
+from questsim.motion.kinematics import sole_positions, standing_clip, standing_devices
 from questsim.sensors import DEVICES, device_poses
 from questsim.skeleton import FEET, LINKS
 
@@ -43,9 +43,7 @@ def estimated_pose(
     model = build_body(height_m).model
     standing = standing_clip(height_m)
     headset = list(names).index("headset")
-    upright, _ = device_poses(
-        standing.link_position[0], standing.link_quat[0], ["headset"], height_m
-    )
+    upright = standing_devices(["headset"], height_m)
     yaw = float(rot.heading(quat[headset]))
     turn = rot.yaw_quat(np.array(yaw))
     low = LOWEST_SHARE * upright[0, 2]

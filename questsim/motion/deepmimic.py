@@ -88,7 +88,7 @@ def read_deepmimic(path: str | Path, fps: float | None = None) -> Recording:
     rotations = np.stack([_turns(frames, j, path) for j in range(len(JOINTS))], axis=1)
     if uneven:
         even = np.arange(int(times[-1] * fps + 1e-6) + 1) / fps
-        root = np.stack([np.interp(even, times, p) for p in positions[:, 0].T], axis=-1)
+        root = rot.resample_points(positions[:, 0], times, even)
         positions = np.tile(positions[:1], (len(even), 1, 1))
         positions[:, 0] = root
         rotations = rot.resample_quat(rot.continuous(rotations), times, even)

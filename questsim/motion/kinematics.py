@@ -12,6 +12,7 @@ from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M, build_body
 from questsim.body_proportions import Proportions
 from questsim.motion.clip import FPS, Clip
+from questsim.sensors import device_poses
 from questsim.skeleton import DOFS, FEET, LINK_PARENTS, LINKS, NUM_LINKS
 
 CONTACT_HEIGHT_M = 0.03
@@ -168,6 +169,13 @@ def standing_clip(height_m: float, frames: int = 1, proportions: Proportions | N
     feet = [LINKS.index(foot) for foot in FEET]
     qpos[:, 2] = -sole_positions(position[:, feet], quat[:, feet], height_m)[..., 2].min()
     return clip_from_qpos("standing", qpos, height_m, proportions)
+
+
+def standing_devices(names: Sequence[str], height_m: float) -> np.ndarray:
+    """Places ``(D, 3)`` of devices on the avatar of ``standing_clip``, in metres."""
+    standing = standing_clip(height_m)
+    links = standing.link_position[0], standing.link_quat[0]
+    return device_poses(*links, names, height_m)[0]
 
 
 def clip_of_links(

@@ -81,7 +81,7 @@ class Motion:
         times = np.arange(len(self)) / self.fps
         frames = int(np.floor(times[-1] * fps + 1e-9)) + 1
         new_times = np.minimum(np.arange(frames) / fps, times[-1])
-        root = np.stack([np.interp(new_times, times, p) for p in self.root_position.T], axis=-1)
+        root = rot.resample_points(self.root_position, times, new_times)
         rotations = rot.resample_quat(self.rotations, times, new_times)
         return replace(self, fps=fps, root_position=root, rotations=rotations)
 
