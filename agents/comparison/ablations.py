@@ -65,23 +65,16 @@ def ablations(args: AblationsArgs) -> int:
     results = []
     try:
         _on_workers(args, variants, out, motions)
+        for variant in variants:
+            if not (out / variant.name / SCORES).exists():
+                code = _train_and_score(args, variant, out, motions)
+                if code:
+                    print(f"stopped; continue with the same command and --resume, --out {out}")
+                    return code
+            results.append(_result(args.agent, variant, out))
     except InputError:
         _leave_nothing(out, there)
         raise
-    for variant in variants:
-        folder = out / variant.name
-        if not (folder / SCORES).exists():
-            try:
-                code = 0 if variant.options else _train(args, variant, folder)
-            except InputError:
-                _leave_nothing(out, there)
-                raise
-            if code:
-                print(f"stopped; continue with the same command and --resume, --out {out}")
-                return code
-            torch.set_num_threads(args.threads)
-            _score(args, variant, out, motions)
-        results.append(_result(args.agent, variant, out))
     context = {
         "agent": args.agent,
         "preset": args.preset,
@@ -152,20 +145,32 @@ def _on_workers(
     with ray_map(args.workers, args.ray, args.threads) as mapper:
         if mapper is map:
             return
-        whole = partial(_trained_and_scored, args, motions)
+        whole = partial(_packed_variant, args, motions)
         for variant, files in zip(left, mapper(whole, left), strict=True):
             unpack(files, out / variant.name)
             print(f"{variant.name}: {variant.what}: trained and scored", flush=True)
 
 
-def _trained_and_scored(args: AblationsArgs, motions: Sequence[Motion], variant: Variant) -> bytes:
+def _train_and_score(
+    args: AblationsArgs, variant: Variant, out: Path, motions: Sequence[Motion]
+) -> int:
+    """Write a variant's folder; returns the exit code of its training.
+
+    A variant of options alone uses the weights of the full system.
+    """
+    code = 0 if variant.options else _train(args, variant, out / variant.name)
+    if not code:
+        torch.set_num_threads(args.threads)
+        _score(args, variant, out, motions)
+    return code
+
+
+def _packed_variant(args: AblationsArgs, motions: Sequence[Motion], variant: Variant) -> bytes:
     """The packed folder of a variant, made in a temporary folder of this node."""
     with tempfile.TemporaryDirectory() as place:
         out = Path(place)
-        if _train(args, variant, out / variant.name):
+        if _train_and_score(args, variant, out, motions):
             raise KeyboardInterrupt
-        torch.set_num_threads(args.threads)
-        _score(args, variant, out, motions)
         return packed(out / variant.name)
 
 

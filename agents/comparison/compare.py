@@ -29,7 +29,7 @@ from agents.comparison.options import CompareArgs
 from agents.comparison.plots import plot_accuracy, plot_plausibility
 from agents.comparison.record import FILE as RECORD_FILE
 from agents.comparison.record import Record
-from agents.comparison.report import COSTS, RECORDING, TABLES, row_of, table, write
+from agents.comparison.report import COSTS, RECORDING, TABLES, Row, row_of, table, write
 from agents.comparison.run import KeptPoses, Plan, compute, suiting
 from agents.evaluation.follow import choose_clips
 from agents.kinematic.data import motions_record
@@ -112,12 +112,8 @@ def compare(args: CompareArgs) -> int:
             predictor_over_time(pairs, path)
     _write_all(scored, context, out)
     if filmed:
-        from agents.comparison.film import film
-        from agents.comparison.worst import worst_strips
-
         shown = args.agents or representative(planned)
-        if film(shown, filmed, out, args.threads, args.starts[0]):
-            worst_strips([row for row, _ in compared(scored)], recordings, out, args.threads)
+        _film(args, shown, filmed, [row for row, _ in compared(scored)], recordings)
     return 0
 
 
@@ -130,6 +126,21 @@ def _filmed(
     from agents.comparison.film import to_be_filmed
 
     return to_be_filmed(everything if args.video_clips else recordings, args.video_clips)
+
+
+def _film(
+    args: CompareArgs,
+    shown: Sequence[str],
+    filmed: Sequence[Motion],
+    rows: Sequence[Row],
+    recordings: Sequence[Motion],
+) -> None:
+    """Film the systems to be shown, and draw strips of the clips on which they are worst."""
+    from agents.comparison.film import film
+    from agents.comparison.worst import worst_strips
+
+    if film(shown, filmed, args.out, args.threads, args.starts[0]):
+        worst_strips(rows, recordings, args.out, args.threads)
 
 
 def _write_all(scored: Sequence[Scored], context: dict[str, Any], out: Path) -> None:

@@ -104,44 +104,68 @@ def follow(
         assist: applies an assisting force, and watches every clip to its end; None for physics
             without one.
     """
-    count = len(clips)
-    length = np.array([len(clip) - 1 for clip in clips])
-    frames, total, error = np.zeros(count, np.int64), np.zeros(count), np.zeros(count)
-    fell, active = np.zeros(count, bool), np.ones(count, bool)
-    running = active.copy()
+    tally = _Tally(len(clips))
     began = time.perf_counter()
     sim.reset()
-    agent.reset(count)
+    agent.reset(len(clips))
     if record is not None:
-        record(active)
+        record(tally.active)
     if assist is not None:
         assist.begin(sim)
-    while running.any():
+    while tally.running.any():
         if assist is not None:
             assist.apply()
         sim.step(agent.act(sim.observation))
         if assist is not None:
-            assist.count(active, running)
-        # Non-finite values are left out of sums and recordings.
-        good = active & ~sim.unstable
-        total[good] += sim.reward[good]
-        error[good] += sim.error[good]
-        frames[active] += 1
+            assist.count(tally.active, tally.running)
+        good = tally.add(sim)
         if record is not None:
             record(good)
-        lost = sim.fell if assist is None else sim.fell | (sim.error > MAX_LINK_ERROR_M)
-        fell |= active & lost
-        active &= ~(lost | sim.ended)
-        running &= active if assist is None else ~(sim.fell | sim.ended)
+        tally.end(sim, to_the_end=assist is not None)
     return Followed(
-        frames=frames,
-        fell=fell,
-        total_reward=total,
-        length=length,
+        frames=tally.frames,
+        fell=tally.fell,
+        total_reward=tally.reward,
+        length=np.array([len(clip) - 1 for clip in clips]),
         kinds=tuple(clip.kind for clip in clips),
-        mean_error_m=error / frames,
+        mean_error_m=tally.error / tally.frames,
         seconds=time.perf_counter() - began,
     )
+
+
+class _Tally:
+    """Counts of ``C`` clips while they are followed, ``(C,)`` each.
+
+    Attributes:
+        frames, reward, error: sums over the steps in which a clip was active.
+        fell: the avatar fell, or lost its user.
+        active: still followed.
+        running: still simulated.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.frames = np.zeros(count, np.int64)
+        self.reward, self.error = np.zeros(count), np.zeros(count)
+        self.fell, self.active = np.zeros(count, bool), np.ones(count, bool)
+        self.running = self.active.copy()
+
+    def add(self, sim: BatchSim) -> np.ndarray:
+        """Add a step; returns the active clips whose values are finite: only these are summed."""
+        good = self.active & ~sim.unstable
+        self.reward[good] += sim.reward[good]
+        self.error[good] += sim.error[good]
+        self.frames[self.active] += 1
+        return good
+
+    def end(self, sim: BatchSim, to_the_end: bool) -> None:
+        """Stop clips that ended or whose avatar fell.
+
+        With ``to_the_end`` those whose avatars have lost their users stay running.
+        """
+        lost = sim.fell | (sim.error > MAX_LINK_ERROR_M) if to_the_end else sim.fell
+        self.fell |= self.active & lost
+        self.active &= ~(lost | sim.ended)
+        self.running &= ~(sim.fell | sim.ended) if to_the_end else self.active
 
 
 def choose_clips(clips: Sequence[T], count: int) -> list[T]:

@@ -175,14 +175,13 @@ def _fit(
     # Each stage has its own random stream, whether or not the stage before was resumed.
     seed = args.seed + 1000 * stages.index(name)
     torch.manual_seed(seed)
-    entry = AGENTS[args.agent]
     part = part_of(learning, max(args.workers, 1))
-    task = entry.task(module, name, part, banks[learning.window], config.validation)
+    bank, validation = banks[learning.window], config.validation
+    task = AGENTS[args.agent].task(module, name, part, bank, validation)
     team: Team = Nobody()
     if args.workers:
-        about = (args.agent, config.spec, name, part, config.validation, seed, args.threads)
+        about = (args.agent, config.spec, name, part, validation, seed, args.threads)
         team = RayTeam(SharedStage(*about, *motions), args.workers)
-    trained = stages[: stages.index(name) + 1]
 
     def save(folder: Path, training: dict[str, Any], resume: dict[str, Any] | None) -> None:
         save_system(folder, module, args.agent, config.spec, training, resume)
@@ -196,9 +195,9 @@ def _fit(
         task=task,
         learning=learning,
         folder=args.out / name,
-        budget=_budget(name, args, config, banks[learning.window]),
+        budget=_budget(name, args, config, bank),
         save=save,
-        record=record | {"trained": trained},
+        record=record | {"trained": stages[: stages.index(name) + 1]},
         seed=seed,
         log=args.log,
         team=team,

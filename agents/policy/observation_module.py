@@ -75,29 +75,17 @@ class SparseObservation(nn.Module):
         # Positions are relative to the root horizontally; heights stay relative to the floor.
         below_root = torch.cat([qpos[:, :2], torch.zeros_like(qpos[:, :1])], dim=1)[:, None]
 
-        def turned(vectors: Tensor) -> Tensor:
-            return turn_back(cos, sin, vectors)
-
-        def columns(quats: Tensor) -> Tensor:
-            first, second = matrix_columns(quats)
-            return torch.cat([turned(first), turned(second)], dim=-1)
-
-        devices = torch.cat(
-            [
-                turned(device_position.flatten(1, 2) - below_root),
-                columns(device_quat.flatten(1, 2)),
-            ],
-            dim=-1,
-        )
+        device_place = turn_back(cos, sin, device_position.flatten(1, 2) - below_root)
+        device_columns = columns_back(cos, sin, device_quat.flatten(1, 2))
         blocks = [
             qpos[:, 7:],
             qvel[:, 6:],
-            turned(link_position - below_root),
-            columns(link_quat),
-            turned(link_velocity),
-            turned(link_angular_velocity),
-            turned(contact_force),
-            devices,
+            turn_back(cos, sin, link_position - below_root),
+            columns_back(cos, sin, link_quat),
+            turn_back(cos, sin, link_velocity),
+            turn_back(cos, sin, link_angular_velocity),
+            turn_back(cos, sin, contact_force),
+            torch.cat([device_place, device_columns], dim=-1),
             height_m,
         ]
         return torch.cat([block.flatten(1) for block in blocks], dim=1)
@@ -120,6 +108,12 @@ def turn_back(cos: Tensor, sin: Tensor, vectors: Tensor) -> Tensor:
     """Vectors ``(n, k, 3)`` turned about z by minus the heading ``(n, 1)``."""
     x, y, z = vectors.unbind(-1)
     return torch.stack([cos * x + sin * y, cos * y - sin * x, z], dim=-1)
+
+
+def columns_back(cos: Tensor, sin: Tensor, quats: Tensor) -> Tensor:
+    """First two matrix columns ``(n, k, 6)`` of orientations turned like ``turn_back``'s."""
+    first, second = matrix_columns(quats)
+    return torch.cat([turn_back(cos, sin, first), turn_back(cos, sin, second)], dim=-1)
 
 
 def matrix_columns(quat: Tensor) -> tuple[Tensor, Tensor]:

@@ -190,12 +190,7 @@ def run_stage(
     torch.manual_seed(seed)
     fresh = FreshMotions(learnt, args.vary, args.redraw or REDRAW_STEPS, seed)
     draw = fresh.last(args.out / name / "last") if args.resume else 0
-    with ray_map(args.workers if args.vary else 0, args.ray if args.vary else None) as mapper:
-        clips, shown = fresh.at(draw, mapper), training.seen(learnt)
-    count = training.preset.num_envs if args.envs is None else args.envs
-    batch = BatchSpec(
-        clips, env_config, count, seed + draw, args.threads, shown, training.begin_at
-    )  # fmt: skip
+    batch = _batch(training, env_config, fresh, draw, training.seen(learnt))
     env = make_environments(batch, args, config)
     first = from_first_frames(env_config)
     sim = evaluation_sim(validation, first, args.threads, shown=training.seen(validation))
@@ -221,6 +216,22 @@ def run_stage(
     finally:
         sim.close()
         env.close()
+
+
+def _batch(
+    training: Training,
+    config: EnvConfig,
+    fresh: FreshMotions,
+    draw: int,
+    shown: list[Clip] | None,
+) -> BatchSpec:
+    """The simulations of a stage, with the clips of the given draw of variations."""
+    args = training.args
+    with ray_map(args.workers if args.vary else 0, args.ray if args.vary else None) as mapper:
+        clips = fresh.at(draw, mapper)
+    count = training.preset.num_envs if args.envs is None else args.envs
+    seed = fresh.seed + draw
+    return BatchSpec(clips, config, count, seed, args.threads, shown, training.begin_at)
 
 
 def _both(first: Callable[[int], None] | None, second: Callable[[int], None]) -> Any:

@@ -109,22 +109,9 @@ def to_motion(
     places = {j: positions[:, column] * metres for j, column in index.items()}
     own = {j: orientations[:, column] for j, column in index.items()}
     rest = _rest_rotations(family, bones(places, own), where)
-    axes = np.stack(list(rest.values()))
-    with np.errstate(invalid="ignore"):
-        sizes = np.linalg.det(axes)
-    for joint, size in zip(rest, sizes, strict=True):
-        if not size > 0.5:  # NaN is not
-            what = f"the axes of {JOINTS[joint]} cannot be found: bones around it have no length"
-            raise InputError(what, where, "export the whole skeleton")
+    _check_axes(rest, where)
     world = world_axes(up)
-    turned = np.empty((len(positions), NUM_JOINTS, 4))
-    turned[:, list(rest)] = rot.quat_multiply(
-        rot.matrix_to_quat(world),
-        rot.quat_multiply(orientations[:, [index[j] for j in rest]], rot.matrix_to_quat(axes)),
-    )
-    for joint in range(NUM_JOINTS):
-        if joint not in rest:
-            turned[:, joint] = turned[:, JOINT_PARENTS[joint]]
+    turned = _orientations(own, rest, world)
     placed = {joint: place @ world.T for joint, place in places.items()}
     _check_rigid(recording, set(index.values()), metres)
     if untwist(placed, turned) and changes is not None:
@@ -140,6 +127,40 @@ def to_motion(
         source_sha256=recording.sha256,
         **meta,
     )
+
+
+def _check_axes(rest: dict[int, np.ndarray], where: str) -> None:
+    """Refuse a file in which the axes of a joint are undefined."""
+    with np.errstate(invalid="ignore"):
+        sizes = np.linalg.det(np.stack(list(rest.values())))
+    for joint, size in zip(rest, sizes, strict=True):
+        if not size > 0.5:  # NaN is not
+            what = f"the axes of {JOINTS[joint]} cannot be found: bones around it have no length"
+            raise InputError(what, where, "export the whole skeleton")
+
+
+def _orientations(
+    own: dict[int, np.ndarray], rest: dict[int, np.ndarray], world: np.ndarray
+) -> np.ndarray:
+    """Orientations of our 22 joints in our axes ``(T, 22, 4)``; a missing one has its parent's.
+
+    Args:
+        own: ``(T, 4)`` in the file's frame, by joint.
+        rest: ``(3, 3)`` the joint's axes in the T-pose, by joint.
+        world: ``(3, 3)`` from the file's frame to ours.
+    """
+    turned = np.empty((len(own[0]), NUM_JOINTS, 4))
+    turned[:, list(rest)] = rot.quat_multiply(
+        rot.matrix_to_quat(world),
+        rot.quat_multiply(
+            np.stack([own[joint] for joint in rest], axis=1),
+            rot.matrix_to_quat(np.stack(list(rest.values()))),
+        ),
+    )
+    for joint in range(NUM_JOINTS):
+        if joint not in rest:
+            turned[:, joint] = turned[:, JOINT_PARENTS[joint]]
+    return turned
 
 
 def _file_joints(recording: Recording, family: Family) -> dict[int, int]:

@@ -20,7 +20,7 @@ from questsim.motion.loaded import load_libraries, split_libraries
 from questsim.motion.many import Refused, Retargeted, read_many
 from questsim.motion.motion import Motion
 from questsim.motion.naming import file_names, named, numbered
-from questsim.motion.reading import ReadOptions, explain, read_motion_file
+from questsim.motion.reading import ReadOptions, explain, read_as_recorded
 from questsim.motion.skeletons import write_mapping
 from questsim.motion.sources import KINDS, motion_files
 from questsim.motion.spec import load_motions
@@ -173,7 +173,7 @@ def start_mapping(args: MappingArgs) -> None:
     """
     if Path(args.out).suffix.lower() != ".toml":
         raise InputError("a mapping file's name ends in .toml", args.out)
-    todo = write_mapping(read_motion_file(Path(args.path)), Path(args.out))
+    todo = write_mapping(read_as_recorded(Path(args.path)), Path(args.out))
     print(f"{args.out}: {todo}")
 
 

@@ -109,7 +109,7 @@ def read_motion(
     if path.suffix.lower() == ".npz":
         motion, report = _read_amass(path, options)
     else:
-        recording = read_motion_file(path, options.fps)
+        recording = read_as_recorded(path, options.fps)
         motion, report = _on_own_skeleton(recording, options, family)
     motion, report = _on_floor(motion, report)
     if not options.accept:
@@ -143,7 +143,7 @@ def _read_amass(path: Path, options: ReadOptions) -> tuple[Motion, Report]:
     return motion, check(motion, units, up)
 
 
-def read_motion_file(path: Path, fps: float | None = None) -> Recording:
+def read_as_recorded(path: Path, fps: float | None = None) -> Recording:
     """Reads a motion file on its own skeleton; its extension decides the format.
 
     Raises:
@@ -164,7 +164,7 @@ def explain(path: Path, options: ReadOptions) -> tuple[str, ...]:
         InputError: the file cannot be read, or its skeleton is not recognised.
     """
     declared = load_mapping(options.mapping) if options.mapping else None
-    skeleton = find_skeleton(read_motion_file(path, options.fps), declared)
+    skeleton = find_skeleton(read_as_recorded(path, options.fps), declared)
     return (f"{path}:", *skeleton.explanation)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 from questsim.errors import InputError
@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 SYNTHETIC = "synthetic"
 RANDOM, HELD_OUT = "random", "held-out"
 RANDOM_COUNT = 100
-MAX_DIGITS = 9
 """Number of clips of ``synthetic:random`` and ``synthetic:held-out`` if not given."""
+MAX_DIGITS = 9
+"""Most digits of a given number of clips."""
 
 _T = TypeVar("_T", Motion, Clip)
 
@@ -60,17 +61,12 @@ def load_motions(
     """
 
     def of(part: str, seed: int) -> list[Clip]:
-        if is_mixture(part):
-            return _with_unique_names(load_mixture(part, several, seed))
         if _is_synthetic(part):
             return _synthetic(part, seed)
         found = _load(part, not own_proportions, strict)
         return _in_proportion(part, found.motions) if own_proportions else found.clips
 
-    def several(spec: str | Sequence[str], seed: int) -> list[Clip]:
-        return _with_unique_names([(part, of(part, seed)) for part in _parts(spec)])
-
-    clips = several(spec, seed)
+    clips = _all_parts(spec, seed, of)
     if height_m is not None:
         clips = [clip.scaled(height_m) for clip in clips]
     if mirrored:
@@ -108,22 +104,33 @@ def load_recordings(
     from questsim.motion.retarget_back import to_motion
 
     def of(part: str, seed: int) -> list[Motion]:
-        if is_mixture(part):
-            return _with_unique_names(load_mixture(part, several, seed))
         if _is_synthetic(part):
             return [to_motion(clip) for clip in _synthetic(part, seed)]
         recorded = _load(part, False, strict).motions
         return recorded or [to_motion(clip) for clip in _load(part, True, strict).clips]
 
-    def several(spec: str | Sequence[str], seed: int) -> list[Motion]:
-        return _with_unique_names([(part, of(part, seed)) for part in _parts(spec)])
-
-    motions = several(spec, seed)
+    motions = _all_parts(spec, seed, of)
     if not motions:
         raise InputError(f"no motions in {spec}", fix="name a library or folder that holds some")
     if mirrored:
         motions = [copy for motion in motions for copy in (motion, motion.mirrored())]
     return motions
+
+
+def _all_parts(
+    spec: str | Sequence[str], seed: int, of: Callable[[str, int], Sequence[_T]]
+) -> list[_T]:
+    """What ``of`` loads for each part of a motion argument, also for the parts of mixtures."""
+
+    def several(spec: str | Sequence[str], seed: int) -> list[_T]:
+        return _with_unique_names([(part, one(part, seed)) for part in _parts(spec)])
+
+    def one(part: str, seed: int) -> Sequence[_T]:
+        if is_mixture(part):
+            return _with_unique_names(load_mixture(part, several, seed))
+        return of(part, seed)
+
+    return several(spec, seed)
 
 
 def _load(part: str, clips: bool, strict: bool) -> Library:

@@ -144,31 +144,44 @@ def gait_at(speed: float, leg_m: float, jog: bool) -> Gait:
     """The steady gait of a person whose leg is ``leg_m`` long, at ``speed`` in m/s."""
     v = froude_speed(speed, leg_m)
     stride = stride_time(speed, leg_m, jog)
-    if jog:
-        return Gait(
-            jog=True,
-            stride_s=stride,
-            duty=float(np.clip(0.50 - 0.15 * v, 0.30, 0.46)),
-            step_width_m=0.085,
-            toe_out=np.deg2rad(4.0),
-            strike_pitch=-np.deg2rad(2.0 + 6.0 * v),
-            push_pitch=np.deg2rad(38.0 + 14.0 * v),
-            flat_share=0.07,
-            rise_share=0.33,
-            lift=float(np.clip(0.25 + 0.65 * v, 0.4, 1.1)),
-            impact=(0.6 * speed, 0.9),
-            clearance_m=0.035,
-            bob_m=0.0,
-            pelvis_turn=np.deg2rad(6.0),
-            pelvis_list=np.deg2rad(3.5),
-            chest_turn=np.deg2rad(8.0),
-            lean=np.deg2rad(5.0 + 4.0 * v),
-            shoulder_mean=-np.deg2rad(6.0),
-            shoulder_swing=np.deg2rad(16.0 + 14.0 * v),
-            elbow_mean=np.deg2rad(96.0),
-            elbow_swing=np.deg2rad(12.0),
-            abduction=np.deg2rad(20.0),
-        )
+    return _jogging(speed, v, stride) if jog else _walking(speed, v, stride)
+
+
+def _jogging(speed: float, v: float, stride: float) -> Gait:
+    """The gait at ``speed`` in m/s.
+
+    Args:
+        v: the same speed as ``froude_speed``.
+        stride: seconds of a stride.
+    """
+    return Gait(
+        jog=True,
+        stride_s=stride,
+        duty=float(np.clip(0.50 - 0.15 * v, 0.30, 0.46)),
+        step_width_m=0.085,
+        toe_out=np.deg2rad(4.0),
+        strike_pitch=-np.deg2rad(2.0 + 6.0 * v),
+        push_pitch=np.deg2rad(38.0 + 14.0 * v),
+        flat_share=0.07,
+        rise_share=0.33,
+        lift=float(np.clip(0.25 + 0.65 * v, 0.4, 1.1)),
+        impact=(0.6 * speed, 0.9),
+        clearance_m=0.035,
+        bob_m=0.0,
+        pelvis_turn=np.deg2rad(6.0),
+        pelvis_list=np.deg2rad(3.5),
+        chest_turn=np.deg2rad(8.0),
+        lean=np.deg2rad(5.0 + 4.0 * v),
+        shoulder_mean=-np.deg2rad(6.0),
+        shoulder_swing=np.deg2rad(16.0 + 14.0 * v),
+        elbow_mean=np.deg2rad(96.0),
+        elbow_swing=np.deg2rad(12.0),
+        abduction=np.deg2rad(20.0),
+    )
+
+
+def _walking(speed: float, v: float, stride: float) -> Gait:
+    """As ``_jogging``, for a walk."""
     return Gait(
         jog=False,
         stride_s=stride,
