@@ -17,10 +17,10 @@ MAY_BE_ZERO = ("mix_steps", "critic_warmup_steps")
 """Counts for which 0 means off, whatever the preset's value; a count that is now 0 may stay 0."""
 LARGEST = 1_000_000_000
 
-Preset = TypeVar("Preset")
+PresetT = TypeVar("PresetT")
 
 
-def with_overrides(preset: Preset, assignments: Sequence[str]) -> Preset:
+def with_overrides(preset: PresetT, assignments: Sequence[str]) -> PresetT:
     """The preset with values changed.
 
     Args:

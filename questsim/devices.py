@@ -128,30 +128,12 @@ def convention_named(name: str) -> Convention:
     return CONVENTIONS[name]
 
 
-def to_ours(
-    position: np.ndarray, quat: np.ndarray, convention: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Convert positions ``(..., 3)`` and quaternions ``(..., 4)`` of a convention to ours.
-
-    Input quaternions are in the convention's order, output quaternions are wxyz.
-    """
-    rules = convention_named(convention)
-    quat = np.asarray(quat, float)
-    if not rules.scalar_first:
-        quat = quat[..., [3, 0, 1, 2]]
-    axes = rules.matrix
-    # A change of handedness reverses rotations: their axes are pseudovectors.
-    turned = np.linalg.det(axes) * quat[..., 1:] @ axes.T
-    position = rules.unit_m * (np.asarray(position, float) @ axes.T)
-    return position, np.concatenate([quat[..., :1], turned], axis=-1)
-
-
 def from_ours(
     position: np.ndarray, quat: np.ndarray, convention: str
 ) -> tuple[np.ndarray, np.ndarray]:
     """Convert positions ``(..., 3)`` in metres and quaternions wxyz ``(..., 4)`` to a convention.
 
-    The inverse of ``to_ours``: positions in the convention's unit, quaternions in its order.
+    The inverse of ``DeviceFrame.of``: positions in the convention's unit, quaternions in its order.
     """
     rules = convention_named(convention)
     quat, axes = np.asarray(quat, float), rules.matrix

@@ -4,9 +4,10 @@ Such a module calls a registration function when it is imported: ``questsim.rewa
 ``envs.terrain.register_terrain``, ``questsim.motion.datasets.register_dataset``,
 ``questsim.motion.families.register_family``, ``agents.kinematic.registry.register_system``. The
 command line imports it first if an installed package declares it as an entry point of the group
-``questsim.extensions``, or if the variable ``QUESTSIM_EXTENSIONS`` names it. An unknown terrain or
-reward term of an environment imports them too, so that ``gym.make`` finds them without the command
-line, also in worker processes. The versions in the record of a run list what was imported.
+``questsim.extensions``, or if the variable ``QUESTSIM_EXTENSIONS`` names it. In Python, an unknown
+terrain, reward term, data set or family of a trained system imports them too, so that ``gym.make``
+finds them without the command line, also in worker processes. The versions in the record of a run
+list what was imported.
 """
 
 from __future__ import annotations

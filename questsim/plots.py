@@ -1,4 +1,4 @@
-"""Figures of an evaluation and of a training run, as PNG files.
+"""Figures of an evaluation, as PNG files.
 
 Each function draws one file and leaves no figure open. The colours are those of Okabe & Ito,
 "Color Universal Design" (2008), which people with any common colour vision can tell apart.
@@ -6,7 +6,6 @@ Each function draws one file and leaves no figure open. The colours are those of
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,9 +16,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 
-from questsim.errors import InputError
 from questsim.metrics import MAX_LINK_ERROR_M, Rollout
 from questsim.skeleton import FEET
 
@@ -192,72 +190,3 @@ def plot_error_histogram(rollouts: Sequence[Rollout], path: Path) -> None:
         axis.yaxis.set_major_locator(MaxNLocator(integer=True))
         axis.grid(axis="x", visible=False)
         axis.legend()
-
-
-def training_rows(source: str | Path, x: str = "steps") -> list[dict[str, float]]:
-    """The logged values of a training run, for ``plot_training``.
-
-    Args:
-        source: a CSV file with a header line, or a folder of TensorBoard event files.
-        x: the name under which the rows from TensorBoard carry the step.
-
-    Raises:
-        InputError: nothing was logged there.
-    """
-    source = Path(source)
-    if source.is_file():
-        with source.open(newline="", encoding="utf-8") as file:
-            lines = list(csv.DictReader(file))
-        rows = [{name: float(text) for name, text in line.items() if text} for line in lines]
-    else:
-        rows = _tensorboard_rows(source, x)
-    if not rows:
-        raise InputError("holds no logged training values", source)
-    return rows
-
-
-def _tensorboard_rows(folder: Path, x: str) -> list[dict[str, float]]:
-    # Imported here, since it takes a second and only this function wants it.
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    rows: dict[int, dict[str, float]] = {}
-    for directory in sorted({file.parent for file in folder.rglob("events.out.tfevents.*")}):
-        events = EventAccumulator(str(directory), size_guidance={"scalars": 0})
-        events.Reload()
-        for tag in events.Tags()["scalars"]:
-            for event in events.Scalars(tag):
-                rows.setdefault(event.step, {x: float(event.step)})[tag] = float(event.value)
-    return [rows[step] for step in sorted(rows)]
-
-
-def plot_training(
-    rows: Sequence[Mapping[str, float]], path: Path, x: str = "steps", smooth: int = 1
-) -> None:
-    """Training curves, one panel for each column but ``x``.
-
-    Args:
-        rows: one mapping a logged step, as of ``training_rows``; columns may be missing from some.
-        path: the PNG to write.
-        x: column of the horizontal axis.
-        smooth: rows of the running mean; raw values show pale behind it if above 1.
-    """
-    columns = sorted({name for row in rows for name in row} - {x})
-    if not columns:
-        raise InputError(f"training rows have no column beside {x!r}")
-    across = min(len(columns), 3)
-    with figure_file(
-        path, max(3.0 * across, 4.5), 2.0 * -(-len(columns) // across) + 0.4
-    ) as figure:
-        axes = _panels(figure, len(columns), across, sharex=True)
-        for axis, name in zip(axes, columns, strict=True):
-            points = [(row[x], row[name]) for row in rows if name in row and x in row]
-            at, value = np.array(points, float).T
-            width = min(smooth, max(len(value) // 4, 1))
-            if width > 1:
-                axis.plot(at, value, color=BLUE, alpha=0.25, linewidth=0.8)
-                kernel = np.ones(width) / width
-                at, value = at[width - 1 :], np.convolve(value, kernel, mode="valid")
-            axis.plot(at, value, color=BLUE, linewidth=1.5)
-            axis.set_title(name)
-            axis.xaxis.set_major_formatter(EngFormatter(sep=""))
-        figure.supxlabel(x.capitalize(), fontsize=9)

@@ -110,7 +110,6 @@ def _mirror(names: tuple[str, ...]) -> np.ndarray:
 
 
 MIRROR_JOINTS: np.ndarray = _mirror(JOINTS)
-MIRROR_LINKS: np.ndarray = _mirror(LINKS)
 MIRROR_DOFS: np.ndarray = _mirror(DOFS)
 MIRROR_DOF_SIGNS: np.ndarray = np.array([1.0 if d.endswith("_y") else -1.0 for d in DOFS])
 """A reflection at the x-z plane keeps rotations about y and negates those about x and z."""

@@ -18,8 +18,8 @@ from agents.comparison.film import (
     FilmFigure,
     FilmScene,
     Size,
+    figures_of,
     over_users_floor,
-    parts_of,
     to_be_filmed,
 )
 from agents.comparison.options import CompareArgs
@@ -179,7 +179,7 @@ def test_a_lost_avatar_leaves_the_picture_and_its_ghost_continues():
 
 
 def test_agents_are_labelled_by_kind_and_devices():
-    ik, behind, demo = (parts_of(name, [MOTION], 1)[0] for name in ("ik", "ik+physics", "demo"))
+    ik, behind, demo = (figures_of(name, [MOTION], 1)[0] for name in ("ik", "ik+physics", "demo"))
     assert (ik.kind, ik.devices) == ("kinematic", "6 trackers")
     assert (behind.kind, behind.devices) == ("with physics behind it", "6 trackers")
     assert (demo.kind, demo.devices) == ("policy", "headset + controllers")

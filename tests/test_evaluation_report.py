@@ -218,41 +218,6 @@ def test_the_table_does_not_read_markup_in_names():
     assert "[bold]walk" in format_table(evaluate([odd]))
 
 
-# Training curves
-
-
-def test_training_curves_come_from_csv(tmp_path):
-    log = tmp_path / "progress.csv"
-    log.write_text("steps,reward,kl\n1,0.5,\n2,0.75,0.01\n")
-    rows = plots.training_rows(log)
-    assert rows == [{"steps": 1.0, "reward": 0.5}, {"steps": 2.0, "reward": 0.75, "kl": 0.01}]
-    plots.plot_training(rows, tmp_path / "curves.png", smooth=5)
-    assert Image.open(tmp_path / "curves.png").size[0] > 100
-
-
-def test_training_curves_come_from_tensorboard(tmp_path):
-    from tensorboard.compat.proto.event_pb2 import Event  # type: ignore
-    from tensorboard.compat.proto.summary_pb2 import Summary  # type: ignore
-    from tensorboard.summary.writer.event_file_writer import EventFileWriter
-
-    writer = EventFileWriter(str(tmp_path / "run"))
-    for step in (10, 20):
-        value = Summary.Value(tag="reward", simple_value=step / 40)
-        writer.add_event(Event(step=step, wall_time=0.0, summary=Summary(value=[value])))
-    writer.close()
-    assert plots.training_rows(tmp_path) == [
-        {"steps": 10.0, "reward": 0.25},
-        {"steps": 20.0, "reward": 0.5},
-    ]
-
-
-def test_a_run_without_values_is_refused(tmp_path):
-    with pytest.raises(InputError, match="no logged training values"):
-        plots.training_rows(tmp_path)
-    with pytest.raises(InputError, match="no column"):
-        plots.plot_training([{"steps": 1.0}], tmp_path / "x.png")
-
-
 def test_the_page_of_metrics_names_every_figure_by_its_key_and_by_its_label_in_the_table():
     page = (Path(__file__).parents[1] / "docs/metrics.md").read_text(encoding="utf-8")
     rows = [row for row in page.splitlines() if row.startswith("| `")]

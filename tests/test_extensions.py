@@ -18,7 +18,7 @@ import gymnasium as gym
 import pytest
 import yaml
 
-from agents.kinematic import registry
+from agents.kinematic import registry, store
 from agents.run_folder import versions
 from envs import terrain
 from questsim import extensions, reward
@@ -26,6 +26,8 @@ from questsim.cli import main
 from questsim.errors import InputError
 from questsim.extensions import load_extensions
 from questsim.motion import datasets, families
+from questsim.motion.spec import load_motions
+from questsim.skeleton import JOINTS
 from tests.bvh_files import BvhText
 
 MODULE = """
@@ -129,6 +131,23 @@ def test_gym_make_finds_a_terrain_and_a_reward_term_without_the_command_line(pac
     config = env.unwrapped.sim.config  # type: ignore[attr-defined]
     assert config.terrain == replace(terrain.TERRAINS["dune"], amplitude_m=0.02)
     assert gym.spec("QuestSimDune-v0").kwargs == {"terrain": "dune"}
+
+
+def test_python_finds_a_data_set_without_the_command_line(package: Path) -> None:
+    with pytest.raises(InputError, match="dataset outside has not been fetched"):
+        load_motions("outside:test")
+    with pytest.raises(InputError, match="no motions 'outsider'"):
+        load_motions("outsider")
+
+
+def test_python_finds_the_family_of_a_trained_system(package: Path) -> None:
+    card = {"format": store.FORMAT, "format_version": store.FORMAT_VERSION, "agent": "outsider"}
+    card |= {"fps": 60.0, "joints": list(JOINTS), "training": {"trained": ["network"]}}
+    (package / store.CARD_FILE).write_text(yaml.safe_dump(card))
+    assert store.read_system_card(package)["agent"] == "outsider"
+    (package / store.CARD_FILE).write_text(yaml.safe_dump(card | {"agent": "nobody"}))
+    with pytest.raises(InputError, match="'nobody' is not a known family"):
+        store.read_system_card(package)
 
 
 def test_a_reward_term_in_another_process_is_found_or_refused(package: Path) -> None:

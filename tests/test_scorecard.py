@@ -13,7 +13,7 @@ from helpers import swaying_clip
 from agents.agent import Needs
 from agents.commands.evaluate import evaluate_scorecard
 from agents.evaluation.options import ScorecardArgs
-from agents.evaluation.scorecard import ends_of, figure, format_scorecard, scorecard
+from agents.evaluation.scorecard import figure, format_scorecard, interval_of, scorecard
 from agents.evaluation.scorecard_rows import BARS, TRIALS, Bar
 from agents.policy.checkpoint import save_policy
 from agents.policy.policy_agent import new_policy
@@ -101,13 +101,13 @@ def test_success_is_of_all_clips_and_errors_of_those_completed():
     }
     assert figure(metrics, "success") == 25.0
     assert figure(metrics, "mpjpe_cm") == 3.0
-    assert ends_of(metrics, "success") is None
+    assert interval_of(metrics, "success") is None
     metrics["intervals"] = {
         "all": {"success": [0.125, 0.5], "mpjpe_cm": [8.0, 9.5]},
         "completed": {"success": [1.0, 1.0], "mpjpe_cm": [2.5, 3.5]},
     }
-    assert ends_of(metrics, "success") == [12.5, 50.0]
-    assert ends_of(metrics, "mpjpe_cm") == [2.5, 3.5]
+    assert interval_of(metrics, "success") == [12.5, 50.0]
+    assert interval_of(metrics, "mpjpe_cm") == [2.5, 3.5]
 
 
 def test_a_bar_is_reached_from_its_good_side_only():

@@ -17,7 +17,7 @@ from questsim.objects import ObjectShape, ObjectTrack
 from questsim.skeleton import LINKS
 from questsim.viewing import contact_sheet as sheets
 from questsim.viewing import gl
-from questsim.viewing.camera import Camera, follow, three_quarter_azimuth
+from questsim.viewing.camera import Camera, following_cameras, three_quarter_azimuth
 from questsim.viewing.captions import caption
 from questsim.viewing.costume import convex_hull
 from questsim.viewing.films import (
@@ -142,8 +142,12 @@ def test_camera_keeps_everything_in_the_picture():
 def test_camera_follows_smoothly():
     root = np.zeros((60, 3))
     root[30:, 0] = 1.0
-    jump = np.diff([c.lookat[0] for c in follow(root[:, None], root, 0.0, 1.0, 18.0)]).max()
-    still = np.diff([c.lookat[0] for c in follow(root[:, None], root, 0.0, 1.0, 0.0)]).max()
+    jump = np.diff(
+        [c.lookat[0] for c in following_cameras(root[:, None], root, 0.0, 1.0, 18.0)]
+    ).max()
+    still = np.diff(
+        [c.lookat[0] for c in following_cameras(root[:, None], root, 0.0, 1.0, 0.0)]
+    ).max()
     assert still == pytest.approx(1.0)
     assert jump < 0.05
 

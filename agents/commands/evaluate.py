@@ -156,7 +156,7 @@ def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
     # Imported here: this loads all systems, which an evaluation of a policy does not need.
     from agents.kinematic.estimates import Job, at_sensor_rate, scenario_with
     from agents.kinematic.evaluate import estimated_rollouts, simulated_rollouts
-    from agents.kinematic.processes import processes
+    from agents.kinematic.processes import process_map
     from questsim.motion.spec import load_recordings
 
     scenario = scenario_with(found, args.sensors)
@@ -168,7 +168,7 @@ def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
     clips_in_video(args, motions)
     jobs = [Job(found.base, scenario, motion) for motion in motions]
     assist = None if args.assist is None else AssistUse(args.assist)
-    with processes(args.threads, args.workers, args.ray) as mapper:
+    with process_map(args.threads, args.workers, args.ray) as mapper:
         if behind:
             physics = mapper if args.workers else map
             rollouts = simulated_rollouts(jobs, args.threads, assist, mapper, physics)

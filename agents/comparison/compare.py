@@ -35,7 +35,7 @@ from agents.evaluation.follow import choose_clips
 from agents.kinematic.data import motions_record
 from agents.kinematic.device_faults import NOISES, Noise
 from agents.kinematic.estimates import at_sensor_rate, unsupported
-from agents.kinematic.processes import processes
+from agents.kinematic.processes import process_map
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.scenario import Scenario
 from agents.loading import load_agent
@@ -254,7 +254,7 @@ def _compute(work: Sequence[Work], args: CompareArgs, record: Record) -> None:
         left += len(record.missing(keys, each.names))
     whole, done, rate, began = max(left, 1), 0, 0.0, time.monotonic()
     estimates = KeptPoses()
-    with Display() as display, processes(args.threads, args.workers, args.ray) as mapper:
+    with Display() as display, process_map(args.threads, args.workers, args.ray) as mapper:
         for number, each in enumerate(in_turn(work), start=1):
             name = each.plan.key(each.plan.rows[0])
             steps = compute(

@@ -16,14 +16,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from agents.comparison.behind import follow, shown_of
+from agents.comparison.behind import follow_poses, shown_of
 from agents.comparison.conditions import Start, starts_of
 from agents.comparison.plots import KINDS
 from agents.comparison.run import suiting
 from agents.evaluation.rollout import env_config, roll_out
 from agents.kinematic.estimates import Job, estimated_together
 from agents.kinematic.first_answers import first_answers
-from agents.kinematic.physics_behind import performed
+from agents.kinematic.physics_behind import until_lost
 from agents.kinematic.scenario import Scenario
 from agents.kinematic.without_physics import over_users_floor
 from agents.loading import load_agent
@@ -37,8 +37,7 @@ from questsim.motion.motion import Motion
 from questsim.motion.retarget import to_clip
 from questsim.plots import GREEN
 from questsim.sensors import SENSOR_SETS
-from questsim.viewing.camera import Camera, three_quarter_azimuth
-from questsim.viewing.camera import follow as followed
+from questsim.viewing.camera import Camera, following_cameras, three_quarter_azimuth
 from questsim.viewing.captions import Label, caption, labelled
 from questsim.viewing.costume import AVATAR, REFERENCE, Look
 from questsim.viewing.films import named, one_of_each_kind, title
@@ -135,7 +134,7 @@ def film(
     if not find_gl():
         print(f"video skipped: {missing_gl()}", file=sys.stderr)
         return False
-    parts = [parts_of(agent, motions, threads, start) for agent in agents]
+    parts = [figures_of(agent, motions, threads, start) for agent in agents]
     scenes = [
         FilmScene([_user(motion), *(of_clip[i] for of_clip in parts)], SIZE)
         for i, motion in enumerate(motions)
@@ -171,7 +170,7 @@ def _user(motion: Motion) -> FilmFigure:
     return FilmFigure("user", "the motion itself", "", to_clip(motion))
 
 
-def parts_of(
+def figures_of(
     agent: str,
     motions: Sequence[Motion],
     threads: int,
@@ -192,15 +191,15 @@ def parts_of(
         begin_at = first_answers(clips) if start == "estimate" else None
         rollouts = roll_out(loaded, clips, config, threads, begin_at=begin_at)
         devices = _in_words(SENSOR_SETS[loaded.needs.sensors])
-        return [FilmFigure(agent, devices, policy, performed(rollout)) for rollout in rollouts]
+        return [FilmFigure(agent, devices, policy, until_lost(rollout)) for rollout in rollouts]
     scenario = scenario or shown_scenario(suiting(agent))
     base = base_of(agent) or agent
     poses = estimated_together([Job(base, scenario, motion) for motion in motions])
     devices, pairs = _in_words(scenario.devices), list(zip(poses, motions, strict=True))
     if base_of(agent) is None:
         return [FilmFigure(agent, devices, kinematic, over_users_floor(p, m)) for p, m in pairs]
-    rollouts = follow([shown_of(p, m) for p, m in pairs], start, threads)
-    return [FilmFigure(agent, devices, physics, performed(rollout)) for rollout in rollouts]
+    rollouts = follow_poses([shown_of(p, m) for p, m in pairs], start, threads)
+    return [FilmFigure(agent, devices, physics, until_lost(rollout)) for rollout in rollouts]
 
 
 def shown_scenario(found: Sequence[Scenario]) -> Scenario:
@@ -261,7 +260,7 @@ class FilmScene:
             position = np.concatenate([part.clip.link_position, user.link_position[there:]])
             quat = np.concatenate([part.clip.link_quat, user.link_quat[there:]])
             points.append(outline_points(position, quat, height)[: self.frames] + offset)
-        cameras = followed(
+        cameras = following_cameras(
             np.concatenate(points, axis=1),
             user.qpos[: self.frames, :3] + self.offsets.mean(axis=0),
             azimuth,

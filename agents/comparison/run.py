@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agents.comparison.behind import Shown, follow, shown_of
+from agents.comparison.behind import Shown, follow_poses, shown_of
 from agents.comparison.conditions import Start, row_name, starts_of, with_noise
 from agents.comparison.record import Record
 from agents.comparison.report import RECORDING
-from agents.comparison.summary import Summary, summarise
+from agents.comparison.summary import Summary, summed
 from agents.evaluation.mapping import Mapper
 from agents.evaluation.rollout import env_config, roll_out
 from agents.kinematic.device_faults import Noise
@@ -165,7 +165,7 @@ def compute(
 
 def simulated(
     plan: Plan, jobs: Sequence[Job], threads: int, mapper: Mapper, kept: dict[str, Poses]
-) -> Scored:
+) -> ScoredRows:
     """Rows of a policy or of a system with physics: name and sums of each clip.
 
     Args:
@@ -225,7 +225,7 @@ def _score(jobs: list[Job]) -> list[tuple[Poses | None, Summary]]:
 
 
 def _scored(poses: Poses, job: Job) -> Summary:
-    return summarise(_samples(poses, job.motion, job.scenario.ends), SENSOR_FPS)
+    return summed(_samples(poses, job.motion, job.scenario.ends), SENSOR_FPS)
 
 
 def _scored_itself(job: Job) -> Summary:
@@ -233,7 +233,7 @@ def _scored_itself(job: Job) -> Summary:
     motion = job.motion
     offsets = np.broadcast_to(motion.offsets, (len(motion), *motion.offsets.shape))
     poses = Poses(motion.root_position, motion.rotations, offsets)
-    return summarise(_samples(poses, motion), SENSOR_FPS)
+    return summed(_samples(poses, motion), SENSOR_FPS)
 
 
 def _samples(poses: Poses, motion: Motion, ends: Sequence[int] = ENDS) -> dict[str, np.ndarray]:
@@ -250,28 +250,28 @@ def _samples(poses: Poses, motion: Motion, ends: Sequence[int] = ENDS) -> dict[s
 # -- with physics ------------------------------------------------------------------------------
 
 
-Scored = Iterator[tuple[str, list[Summary]]]
+ScoredRows = Iterator[tuple[str, list[Summary]]]
 
 
 def _behind(
     plan: Plan, jobs: Sequence[Job], threads: int, mapper: Mapper, poses: Sequence[Poses]
-) -> Scored:
+) -> ScoredRows:
     """A system's poses on the avatar without physics, then with physics from each start."""
     motions = [job.motion for job in jobs]
     shown = list(mapper(_shown, list(zip(poses, motions, strict=True))))
     truths = list(mapper(to_clip, motions))
     ends, rows = plan.scenario.ends, iter(plan.rows)
     without = [
-        summarise(avatar_samples(each.clip, truth, ends), FPS)
+        summed(avatar_samples(each.clip, truth, ends), FPS)
         for each, truth in zip(shown, truths, strict=True)
     ]
     yield next(rows), without
     for row, start in zip(rows, plan.starts, strict=True):
-        pairs = zip(follow(shown, start, threads), truths, strict=True)
+        pairs = zip(follow_poses(shown, start, threads), truths, strict=True)
         scored = [
             rollout_samples(replace(rollout, reference=truth), ends) for rollout, truth in pairs
         ]
-        yield row, [summarise(samples, FPS) for samples in scored]
+        yield row, [summed(samples, FPS) for samples in scored]
 
 
 def _shown(pair: tuple[Poses, Motion]) -> Shown:
@@ -279,7 +279,7 @@ def _shown(pair: tuple[Poses, Motion]) -> Shown:
     return shown_of(*pair)
 
 
-def _policy(plan: Plan, jobs: Sequence[Job], threads: int, mapper: Mapper) -> Scored:
+def _policy(plan: Plan, jobs: Sequence[Job], threads: int, mapper: Mapper) -> ScoredRows:
     """A torque policy on the same motions, with the devices it was trained with."""
     assert plan.agent is not None
     policy, clips = load_agent(plan.agent), list(mapper(to_clip, [job.motion for job in jobs]))
@@ -288,4 +288,4 @@ def _policy(plan: Plan, jobs: Sequence[Job], threads: int, mapper: Mapper) -> Sc
         config = replace(config, starts=starts_of(start))
         begin_at = first_answers(clips) if start == "estimate" else None
         rollouts = roll_out(policy, clips, config, threads, begin_at=begin_at)
-        yield row, [summarise(rollout_samples(r, plan.scenario.ends), FPS) for r in rollouts]
+        yield row, [summed(rollout_samples(r, plan.scenario.ends), FPS) for r in rollouts]

@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from agents.comparison.conditions import condition_of
-from agents.comparison.film import GHOST_OPACITY, FilmFigure, colour_of, look_of, parts_of
+from agents.comparison.film import GHOST_OPACITY, FilmFigure, colour_of, figures_of, look_of
 from agents.comparison.report import Row
 from agents.comparison.run import suiting
 from questsim.files import whole_file
@@ -59,7 +59,7 @@ def worst_strips(rows: Sequence[Row], motions: Sequence[Motion], out: Path, thre
 def _strip(row: Row, motion: Motion, threads: int) -> np.ndarray:
     name, start = condition_of(row.scenario)
     scenario = next(each for each in suiting(row.agent) if each.name == name)
-    (part,) = parts_of(row.agent, [motion], threads, start, scenario)
+    (part,) = figures_of(row.agent, [motion], threads, start, scenario)
     user = to_clip(motion)
     frames = moments(part.clip, user)
     cameras = clip_cameras(user, TILE[0] / TILE[1], smoothing_s=0.0)

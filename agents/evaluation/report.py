@@ -75,10 +75,10 @@ def report(args: EvaluateArgs, rollouts: list[Rollout], context: dict[str, Any])
 def save_motions(rollouts: Sequence[Rollout], folder: Path, kind: str) -> None:
     """Write the avatar's motions in a file format of ``questsim.exporting``."""
     # Imported here: other evaluations do not need the file writers.
-    from questsim.exporting import file_names, write_clip
+    from questsim.exporting import safe_names, write_clip
 
     folder.mkdir(exist_ok=True)
-    names = file_names([rollout.name for rollout in rollouts])
+    names = safe_names([rollout.name for rollout in rollouts])
     for rollout, name in zip(rollouts, names, strict=True):
         write_clip(folder / f"{name}.{kind.lower()}", performed(rollout))
     print(f"{len(rollouts)} motions in {folder}")

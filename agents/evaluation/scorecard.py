@@ -25,7 +25,7 @@ from agents.evaluation.mapping import Mapper
 from agents.evaluation.report import evaluation_context
 from agents.evaluation.rollout import env_config, roll_out
 from agents.evaluation.scorecard_rows import BARS, EXTRA, TRIALS, Trial
-from agents.evaluation.standing_pushes import pushed, standing_clip
+from agents.evaluation.standing_pushes import long_standing_clip, pushed
 from agents.evaluation.worlds import world_clips, world_row
 from agents.loading import load_agent
 from agents.policy.checkpoint import find_policy
@@ -169,7 +169,7 @@ def _jobs(
         key = (spec, seed if trial.seed is None else trial.seed)
         if trial.push_n is None and key not in loaded:
             loaded[key] = load_motions(spec, seed=key[1])
-        clips = [standing_clip()] if trial.push_n is not None else loaded[key]
+        clips = [long_standing_clip()] if trial.push_n is not None else loaded[key]
         if trial.world is not None:
             clips = world_clips(trial.world, clips)
             if not clips:  # a row of walking, for motions that do not walk
@@ -296,7 +296,7 @@ def _rows(figures: Mapping[str, Any]) -> list[dict[str, Any]]:
             asdict(bar)
             | {
                 "value": value,
-                "interval": ends_of(figures[bar.trial], bar.metric),
+                "interval": interval_of(figures[bar.trial], bar.metric),
                 "bar_reached": bar.reached(value, bar.bar),
                 "goal_reached": bar.reached(value, bar.goal),
             }
@@ -310,7 +310,7 @@ def figure(metrics: Mapping[str, Any], metric: str) -> float | None:
     return 100.0 * value if metric == "success" and value is not None else value
 
 
-def ends_of(metrics: Mapping[str, Any], metric: str) -> list[float] | None:
+def interval_of(metrics: Mapping[str, Any], metric: str) -> list[float] | None:
     """The 95 % interval of ``figure`` over clips; None for fewer than 11 clips."""
     column = "all" if metric == "success" else "completed"
     ends = metrics.get("intervals", {}).get(column, {}).get(metric)

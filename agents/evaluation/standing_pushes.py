@@ -33,7 +33,7 @@ def standing_rows(agent: Agent, config: EnvConfig, threads: int = 1) -> list[dic
         config: the environment it needs.
         threads: physics threads.
     """
-    clip = standing_clip()
+    clip = long_standing_clip()
     rows = []
     for force_n, bar in BARS.items():
         near = pushed(agent, clip, config, float(force_n), threads)
@@ -60,7 +60,7 @@ def rounded(ends: tuple[float, float] | None) -> list[float] | None:
     return None if ends is None else [round(end, 4) for end in ends]
 
 
-def standing_clip() -> Clip:
+def long_standing_clip() -> Clip:
     """An embedded clip of standing, long enough for push and recovery."""
     from questsim.motion.spec import load_motions
 

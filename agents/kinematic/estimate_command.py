@@ -11,7 +11,7 @@ from pathlib import Path
 from agents.kinematic.estimates import Job, at_sensor_rate, estimated, scenario_with
 from agents.kinematic.options import EstimateArgs
 from agents.kinematic.physics_behind import on_own_body
-from agents.kinematic.processes import processes
+from agents.kinematic.processes import process_map
 from agents.resolve import resolve_system
 from questsim.errors import at_least
 from questsim.motion.clip import Clip
@@ -34,7 +34,7 @@ def estimate(args: EstimateArgs) -> None:
     check_library_path(args.out)
     motions = at_sensor_rate(load_recordings(args.motions, seed=args.seed), args.max_clips)
     jobs = [Job(args.agent, scenario, motion) for motion in motions]
-    with processes(args.threads, args.workers, args.ray) as mapper:
+    with process_map(args.threads, args.workers, args.ray) as mapper:
         done = list(mapper(_estimated, jobs))
     save_library(args.out, [motion for motion, _ in done], [clip for _, clip in done])
     print(f"{len(done)} motions, {sum(m.duration for m, _ in done):.0f} s, in {args.out}")

@@ -19,7 +19,7 @@ def estimated_rollouts(jobs: Sequence[Job], mapper: Mapper = map) -> list[Rollou
 
     Args:
         jobs: a motion each.
-        mapper: runs the jobs, see ``processes``.
+        mapper: runs the jobs, see ``process_map``.
     """
     began = time.perf_counter()
     found = list(mapper(estimated, jobs))
@@ -42,7 +42,7 @@ def simulated_rollouts(
     Args:
         jobs: a motion each.
         threads, assist: see ``follow_poses``.
-        mapper: runs the estimates, see ``processes``.
+        mapper: runs the estimates, see ``process_map``.
         physics_mapper: runs the batches of the simulation.
     """
     references = list(mapper(reference, jobs))

@@ -61,10 +61,6 @@ class UserBody:
         return UserBody(motion.offsets)
 
 
-Body = UserBody
-"""A shorter name of the same class."""
-
-
 @dataclass(frozen=True)
 class Poses:
     """Poses of ``T`` frames on the 22 joints; a single pose has ``T`` = 1.

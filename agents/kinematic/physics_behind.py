@@ -4,7 +4,7 @@ The poses are retargeted to the avatar of the user's stature. The policy ``ESTIM
 observes them as its reference; it was trained to follow the true motion in spite of estimation
 errors (``train.py --estimates``). The avatar starts in the user's first state, as in every episode,
 and its motion is compared with the user's. The tracker reads five frames ahead and velocities need
-one more, so the avatar shows the pose of ``LATENCY_FRAMES`` ago, like QuestSim with as many future
+one more, so the avatar shows the pose of six frames ago, like QuestSim with as many future
 frames. No later data is used except two constants of each clip, the heights of the floor and of the
 ankle, which a calibration would measure.
 """
@@ -33,7 +33,6 @@ from questsim.motion.retarget_back import to_motion
 from questsim.pose_metrics import ENDS, HEAD, pose_samples
 from questsim.root_force import root_force
 
-LATENCY_FRAMES = 6
 BEGINNING_FRAMES = 6
 """Length of the blend from the user's first state to the estimates: the tracker's future window,
 167 ms. On 48 clips of HMD-Poser it lowers the MPJPE from 3.32 to 3.18 cm."""
@@ -113,7 +112,7 @@ def begun_as(estimate: Clip, truth: Clip) -> Clip:
     )
 
 
-def performed(rollout: Rollout) -> Clip:
+def until_lost(rollout: Rollout) -> Clip:
     """The avatar's motion until it was lost."""
     return clip_from_qpos(rollout.name, rollout.qpos[: rollout.scored_frames], rollout.height_m)
 
@@ -138,4 +137,4 @@ def avatar_samples(clip: Clip, truth: Clip, ends: Sequence[int] = ENDS) -> dict[
 def rollout_samples(rollout: Rollout, ends: Sequence[int] = ENDS) -> dict[str, np.ndarray]:
     """``avatar_samples`` of a rollout until it was lost, and its success in percent."""
     success = {"success_percent": np.array([100.0 * rollout.completed])}
-    return avatar_samples(performed(rollout), rollout.reference, ends) | success
+    return avatar_samples(until_lost(rollout), rollout.reference, ends) | success

@@ -16,7 +16,7 @@ from questsim.extensions import load_extensions
 
 
 @contextmanager
-def processes(count: int, on_ray: int = 0, ray: str | None = None) -> Iterator[Mapper]:
+def process_map(count: int, on_ray: int = 0, ray: str | None = None) -> Iterator[Mapper]:
     """A ``map`` on several processes with one thread each; results have the same bits.
 
     Threads would not help: Python code takes most of a frame's time.

@@ -207,7 +207,7 @@ class PlainMixing(nn.Module):
         return torch.einsum("ij,bj...->bi...", self.weight, x)
 
 
-def spread(matrix: Tensor, x: Tensor, channels: int) -> Tensor:
+def across_joints(matrix: Tensor, x: Tensor, channels: int) -> Tensor:
     """Pool or unpool features ``(B, joints * channels, ...)`` by a matrix of joints."""
     joints = x.unflatten(1, (matrix.shape[1], channels))
     return torch.einsum("ij,bj...->bi...", matrix, joints).flatten(1, 2)

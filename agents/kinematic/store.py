@@ -23,6 +23,7 @@ from agents.kinematic.switches import switches
 from agents.policy.checkpoint import write_resume
 from agents.resolve import IK, SYSTEM_CARD, Resolved, own_object, resolve_system
 from questsim.errors import InputError
+from questsim.extensions import load_extensions
 from questsim.files import read_yaml, whole_folder
 from questsim.joint_sensors import SENSOR_FPS
 from questsim.skeleton import JOINTS
@@ -93,6 +94,8 @@ def read_system_card(folder: Path) -> dict[str, Any]:
     for field, value in expected.items():
         if card.get(field) != value:
             raise InputError(f"{field} is not {value!r}", path, "train it again")
+    if card.get("agent") not in AGENTS:
+        load_extensions()
     if card.get("agent") not in AGENTS:
         what = f"agent {card.get('agent')!r} is not a known family"
         raise InputError(what, path, f"it is one of {', '.join(AGENTS)}")

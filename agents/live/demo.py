@@ -17,7 +17,7 @@ from agents.live.options import NOTHING, DemoArgs, PlayArgs, WatchArgs
 from agents.live.recording import record
 from agents.live.runner import Runner
 from agents.live.session import DemoSession, check_choices, check_clip
-from agents.live.surroundings import needed_thing
+from agents.live.surroundings import needed_object
 from agents.live.users import Recordings
 from agents.live.watcher import Checkpoint, Watcher, first_checkpoint, load_checkpoint
 from agents.resolve import (
@@ -124,7 +124,7 @@ def _settings(args: WatchArgs, clips: Sequence[Clip], agent: str) -> Settings:
     """Initial settings of a session."""
     known = {clip.name: clip for clip in clips}
     first = args.clip or (FIRST_CLIP if FIRST_CLIP in known else next(iter(known), ""))
-    needed = needed_thing(known[first]) if first in known else NOTHING
+    needed = needed_object(known[first]) if first in known else NOTHING
     return Settings(
         clip=first,
         agent=agent,

@@ -12,10 +12,10 @@ import numpy as np
 from agents.live.drivers import Driver
 from agents.live.options import GROUNDS, NOTHING
 from agents.live.surroundings import (
-    config_of,
     in_own_size,
-    needed_thing,
+    needed_object,
     object_pose,
+    session_config,
 )
 from envs.core import BatchSim
 from envs.objects import OBJECTS, shapes_of
@@ -230,7 +230,7 @@ class DemoSession:
         settings = self._settings
         if settings.sensors not in driver.sensor_sets():
             settings = replace(settings, sensors=driver.needs.sensors)
-        if config_of(driver, settings) == self._sim.config:
+        if session_config(driver, settings) == self._sim.config:
             driver.bind(self._sim, settings.sensors)
             driver.reset()
             self._settings = settings
@@ -294,7 +294,7 @@ class DemoSession:
     def _needed(self, settings: Settings) -> str:
         """The object that the settings' clip needs."""
         clip = self._clips.get(settings.clip)
-        return NOTHING if clip is None else needed_thing(clip)
+        return NOTHING if clip is None else needed_object(clip)
 
     def _check(self, settings: Settings) -> None:
         """Refuse settings that cannot be simulated.
@@ -317,7 +317,7 @@ class DemoSession:
         """A simulation of the settings, at the clip's first frame."""
         self._check(settings)
         driver = self._driver(settings.agent)
-        config = config_of(driver, settings)
+        config = session_config(driver, settings)
         clip = self._clips[settings.clip]
         shown = driver.shown(clip, settings.sensors)
         sim = BatchSim([clip], config, 1, num_threads=1, shown=shown)

@@ -18,7 +18,7 @@ from questsim.motion.synthesis.synthetic import SEATED
 from questsim.viewing.live import Settings
 
 
-def config_of(driver: Driver, settings: Settings) -> EnvConfig:
+def session_config(driver: Driver, settings: Settings) -> EnvConfig:
     """The environment of a session's settings."""
     config = driver.config(settings.sensors, float(settings.avatar_m))
     return replace(
@@ -42,7 +42,7 @@ def scaled_terrain(name: str, roughness: float) -> Terrain | None:
     )
 
 
-def needed_thing(clip: Clip) -> str:
+def needed_object(clip: Clip) -> str:
     """The object that a clip needs: a chair for seated clips, otherwise ``NOTHING``."""
     return "chair" if clip.kind in SEATED else NOTHING
 

@@ -20,15 +20,15 @@ from agents.resolve import (
 )
 from agents.shipping.options import AgentsArgs
 
-KEYS = ("agent", "preset", "title", "sensors", "parameters", "licence", "weights")
 _REGISTRY = "agents.kinematic.registry"
 _STATISTICS = (".norm.mean", ".norm.var", ".norm.count")
 """Ends of the names of a policy's tensors that are not trained."""
 
 
 def catalogue() -> list[dict[str, Any]]:
-    """One entry per agent and preset, with ``KEYS``.
+    """One entry per agent and preset.
 
+    Keys: ``agent``, ``preset``, ``title``, ``sensors``, ``parameters``, ``licence``, ``weights``.
     ``sensors`` are the sets of devices that it can use, or ``reference`` if it observes the whole
     body of a reference motion instead. ``parameters`` counts trainable parameters. ``licence`` is
     that of the weights, or of the code if there are no weights. ``weights`` says whether weights

@@ -12,7 +12,7 @@ NAME_FILES = ("motions", "estimates", "validation", "start_estimates", "body")
 """Options that may name files of the machine of the training."""
 
 
-def file_names(texts: Iterable[str]) -> dict[str, str]:
+def names_for_cards(texts: Iterable[str]) -> dict[str, str]:
     """The names that cards give to files of the machine of a training, by absolute path.
 
     A file becomes ``runs/`` and its own name; a second file of that name gets a number.
@@ -37,7 +37,7 @@ def _file_of(part: str) -> tuple[str, str]:
 
 
 def portable(motions: str, names: Mapping[str, str]) -> str:
-    """A motion argument with the names of ``file_names`` instead of absolute paths."""
+    """A motion argument with the names of ``names_for_cards`` instead of absolute paths."""
     parts = [_file_of(part) for part in split_parts(motions)]
     return ",".join(names.get(file, file) + rest for file, rest in parts)
 

@@ -13,7 +13,13 @@ from agents.licence import strictest
 from agents.policy.checkpoint import CARD_FILE, find_policy, find_teacher, read_card
 from agents.resolve import policy_folder
 from agents.run_folder import RECORD, default_of, plain, read_run
-from agents.shipping.portable import NAME_FILES, file_names, free_name, portable, texts_of_files
+from agents.shipping.portable import (
+    NAME_FILES,
+    free_name,
+    names_for_cards,
+    portable,
+    texts_of_files,
+)
 from agents.training.options import TrainArgs
 from agents.training.specialists import read_specialist
 from questsim.errors import InputError
@@ -305,7 +311,7 @@ def commands(parts: Sequence[StagePart]) -> list[str]:
 
 
 def _names_of_files(parts: Sequence[StagePart]) -> dict[str, str]:
-    """See ``file_names``: those of all stages."""
+    """See ``names_for_cards``: those of all stages."""
     texts: list[str] = []
     for part in parts:
         texts.append(part.training["motions"])
@@ -313,7 +319,7 @@ def _names_of_files(parts: Sequence[StagePart]) -> dict[str, str]:
             texts += texts_of_files(read_run(part.run)["args"])
         else:
             texts += shlex.split(part.command)
-    return file_names(texts)
+    return names_for_cards(texts)
 
 
 def _run_names(parts: Sequence[StagePart]) -> dict[Path, str]:
@@ -351,9 +357,9 @@ def options_of(
     Args:
         args: options as in a run's record.
         kind: dataclass of these options.
-        files: see ``file_names``; by default those of these options.
+        files: see ``names_for_cards``; by default those of these options.
     """
-    files = file_names(texts_of_files(args)) if files is None else files
+    files = names_for_cards(texts_of_files(args)) if files is None else files
     words: list[str] = []
     for option in fields(kind):
         name = option.name

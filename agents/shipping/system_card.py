@@ -19,7 +19,7 @@ from agents.licence import strictest
 from agents.resolve import base_of
 from agents.run_folder import read_run
 from agents.shipping.model_card import card_text, read_report, time_text
-from agents.shipping.portable import file_names, portable, texts_of_files
+from agents.shipping.portable import names_for_cards, portable, texts_of_files
 from agents.shipping.provenance import options_of, run_of
 from questsim.errors import InputError
 
@@ -57,7 +57,7 @@ def system_provenance(folder: Path) -> dict[str, Any]:
     run = run_of(folder)
     record = read_run(run)
     training = read_system_card(folder)["training"]
-    files, stages = file_names([training["motions"], *texts_of_files(record["args"])]), []
+    files, stages = names_for_cards([training["motions"], *texts_of_files(record["args"])]), []
     for stage in training["trained"]:
         last = run / stage / "last"
         end = read_system_card(last)["training"] if (last / CARD_FILE).exists() else training

@@ -101,7 +101,7 @@ def executor(args: SweepArgs) -> Iterator[Callable[[Run], Future[dict[str, Any]]
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(args.workers, context, load_extensions, max_tasks_per_child=1)
     try:
-        yield lambda run: pool.submit(train_here, run)
+        yield lambda run: pool.submit(train_run, run)
     except BaseException:
         pool.shutdown(wait=True, cancel_futures=True)
         raise
@@ -114,7 +114,7 @@ def as_finished(futures: dict[Future[Any], Run]) -> Iterator[tuple[Run, dict[str
         yield futures[future], future.result()
 
 
-def train_here(run: Run) -> dict[str, Any]:
+def train_run(run: Run) -> dict[str, Any]:
     """Train a run in this process, continuing an interrupted one, and write its result.
 
     Raises:
@@ -197,5 +197,5 @@ def _train_on_node(run: Run, wanted: dict[str, str]) -> tuple[dict[str, Any], by
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "run"
-        result = train_here(replace(run, args=replace(run.args, out=folder)))
+        result = train_run(replace(run, args=replace(run.args, out=folder)))
         return result, packed(folder)

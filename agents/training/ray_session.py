@@ -9,18 +9,16 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
 
-from agents.evaluation.mapping import Mapper
+from agents.evaluation.mapping import JobT, Mapper, ResultT
 from agents.run_folder import versions
 from agents.training.peers import PeerLostError
 from questsim.errors import InputError
 from questsim.extensions import load_extensions
 
-JobT = TypeVar("JobT")
-ResultT = TypeVar("ResultT")
 RETRIES = 3
 """Attempts after the first one of a job whose process or node died."""
 STARTS = 3

@@ -36,12 +36,12 @@ def start_estimates(args: TrainArgs, clips: Sequence[Clip]) -> dict[str, Clip] |
     known = {clip.name: clip for clip in clips}
     found = {}
     for estimate in load_motions(args.start_estimates, seed=args.seed):
-        user = estimated(estimate, known, args.start_estimates)
+        user = estimated_clip_name(estimate, known, args.start_estimates)
         found[user] = _checked(estimate, known[user], args.start_estimates)
     return found
 
 
-def estimated(estimate: Clip, known: Container[str], where: str) -> str:
+def estimated_clip_name(estimate: Clip, known: Container[str], where: str) -> str:
     """The name of the clip that ``questsim estimate`` made an estimate of.
 
     Raises:

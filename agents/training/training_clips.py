@@ -8,7 +8,7 @@ from dataclasses import replace
 from agents.evaluation.follow import choose_clips
 from agents.training.hold_out import without_styles
 from agents.training.options import TrainArgs
-from agents.training.start_estimates import estimated
+from agents.training.start_estimates import estimated_clip_name
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
 
@@ -59,7 +59,7 @@ def estimate_pairs(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
     known = {clip.name: clip for clip in clips}
     pairs: Pairs = {}
     for estimate in load_motions(args.estimates, seed=args.seed):
-        user = estimated(estimate, known, args.estimates)
+        user = estimated_clip_name(estimate, known, args.estimates)
         if known[user].height_m != estimate.height_m:
             # Estimates are made from recordings, whose stature is measured on their bones.
             known[user] = to_clip(to_motion(known[user]))

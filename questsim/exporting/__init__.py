@@ -6,13 +6,13 @@ from pathlib import Path
 
 from questsim.errors import InputError
 from questsim.exporting.bvh_file import write_avatar_bvh, write_joint_bvh
-from questsim.exporting.formats import FORMATS, SKELETONS, check_format, file_names, needs
+from questsim.exporting.formats import FORMATS, SKELETONS, check_format, needs, safe_names
 from questsim.exporting.tables import write_amass, write_csv
 from questsim.files import whole_file
 from questsim.motion.clip import Clip
 from questsim.motion.motion import Motion
 
-__all__ = ["FORMATS", "SKELETONS", "check_format", "file_names", "write_clip", "write_motion"]
+__all__ = ["FORMATS", "SKELETONS", "check_format", "safe_names", "write_clip", "write_motion"]
 
 
 def write_clip(path: Path, clip: Clip, skeleton: str = "joints") -> None:

@@ -9,7 +9,7 @@ from typing import TypeVar
 from questsim.errors import InputError
 from questsim.evaluation_report import check_writable
 from questsim.exporting import write_clip, write_motion
-from questsim.exporting.formats import SKELETONS, check_format, file_names
+from questsim.exporting.formats import SKELETONS, check_format, safe_names
 from questsim.motion.clip import Clip
 from questsim.motion.motion import Motion
 from questsim.motion_options import ExportMotionsArgs
@@ -45,7 +45,7 @@ def _files(folder: Path, kind: str, motions: Sequence[T]) -> Iterator[tuple[T, P
     """Each motion with its file; says in the end how many there were."""
     folder.mkdir(parents=True, exist_ok=True)
     check_writable(folder)
-    names = file_names([motion.name for motion in motions])
+    names = safe_names([motion.name for motion in motions])
     for motion, name in zip(motions, names, strict=True):
         yield motion, folder / f"{name}.{kind}"
     print(f"{len(motions)} motions in {folder}")

@@ -36,7 +36,7 @@ def needs(package: str, where: str | Path) -> None:
         raise InputError(f"needs the Python package {package}", where, fix)
 
 
-def file_names(names: Sequence[str]) -> list[str]:
+def safe_names(names: Sequence[str]) -> list[str]:
     """Make unique file names, without separators, from names of clips."""
     out: list[str] = []
     for name in names:

@@ -79,7 +79,7 @@ def global_pose(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     return positions, orientations
 
 
-def to_motion(
+def recording_to_motion(
     recording: Recording,
     family: Family,
     metres: float,

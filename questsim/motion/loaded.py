@@ -15,6 +15,7 @@ from filelock import FileLock
 from questsim import rotations, skeleton
 from questsim.assets import mjcf_path
 from questsim.errors import InputError, did_you_mean
+from questsim.extensions import load_extensions
 from questsim.files import whole_file
 from questsim.motion import datasets
 from questsim.motion.cache import cache_dir
@@ -46,6 +47,8 @@ def split_libraries(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
 def load_part(part: str, clips: bool, strict: bool) -> Library:
     """The clips or the motions of one part of a spec other than ``synthetic``."""
     name, _, split = part.partition(":")
+    if name not in datasets.DATASETS and not os.path.exists(part):
+        load_extensions()  # it may be a data set of another package
     if name in datasets.DATASETS:
         return _load_dataset(name, split or None, clips)
     if not os.path.exists(part):

@@ -28,7 +28,7 @@ from questsim.motion.checks import (
     stature,
     upright_share,
 )
-from questsim.motion.convert import axis_vector, global_pose, to_motion
+from questsim.motion.convert import axis_vector, global_pose, recording_to_motion
 from questsim.motion.deepmimic import read_deepmimic
 from questsim.motion.families import SMPL, UNITS, UP_AXES, Family, load_mapping
 from questsim.motion.motion import Motion
@@ -139,7 +139,7 @@ def _read_amass(path: Path, options: ReadOptions) -> tuple[Motion, Report]:
         path, height_m=options.height_m, smpl_file=options.smpl_file, fps=options.fps
     )
     units, up = options.units or "m", options.up or "z"
-    motion = to_motion(recording, SMPL, UNITS[units], up, licence=options.licence)
+    motion = recording_to_motion(recording, SMPL, UNITS[units], up, licence=options.licence)
     return motion, check(motion, units, up)
 
 
@@ -212,7 +212,7 @@ def _motion(
 ) -> tuple[Motion, list[str]]:
     """The recording on our skeleton, and what was changed in it."""
     notes: list[str] = []
-    motion = to_motion(recording, family, metres, up, notes, **about)
+    motion = recording_to_motion(recording, family, metres, up, notes, **about)
     if begin := jump_at_start(motion):
         motion = replace(
             motion, root_position=motion.root_position[begin:], rotations=motion.rotations[begin:]
@@ -243,7 +243,7 @@ def _units(
         return UNITS[options.units], f"{options.units} (declared)"
     # One frame is enough for bone lengths, and in one frame no bone can stretch.
     first = _first(recording)
-    height = stature(to_motion(first, family, 1.0, family.up or "y"))
+    height = stature(recording_to_motion(first, family, 1.0, family.up or "y"))
     if options.height_m:
         metres = options.height_m / max(height, 1e-9)
         return metres, f"{metres:.3g} m (declared height)"
@@ -265,7 +265,7 @@ def _units(
 
 def _unknown_units(first: Recording, family: Family, height: float) -> tuple[float, str]:
     """Metres per file unit of a skeleton that no known units make a person's height."""
-    sized = to_motion(first, family, 1.0 / max(height, 1e-9), family.up or "y")
+    sized = recording_to_motion(first, family, 1.0 / max(height, 1e-9), family.up or "y")
     if shape := proportion_problems(sized):
         raise InputError("; ".join(shape), first.path, MAPPING if family.rest else "export it anew")
     if not height > MIN_UNITS:

@@ -63,7 +63,7 @@ def three_quarter_azimuth(root_quat: np.ndarray) -> float:
     return float(np.degrees(mean)) + 130.0
 
 
-def follow(
+def following_cameras(
     points: np.ndarray,
     root: np.ndarray,
     azimuth_deg: float,

@@ -17,7 +17,7 @@ from questsim.heightfield import HeightField
 from questsim.metrics import Rollout
 from questsim.metrics_terms import mpjpe_cm
 from questsim.motion.clip import FPS, Clip
-from questsim.viewing.camera import Camera, follow, three_quarter_azimuth
+from questsim.viewing.camera import Camera, following_cameras, three_quarter_azimuth
 from questsim.viewing.captions import caption
 from questsim.viewing.costume import REFERENCE, Look
 from questsim.viewing.outline import outline_points
@@ -40,7 +40,7 @@ class Named(Protocol):
 
 
 T = TypeVar("T", bound=Named)
-Layout = Literal["beside", "ghost"]
+FilmLayout = Literal["beside", "ghost"]
 _BESIDE_M = 1.05  # between two people of 1.75 m
 _GHOST_OPACITY = 0.35
 LEGEND = "orange: avatar   blue: its user"
@@ -67,7 +67,7 @@ def clip_frames(
 
 def clip_cameras(clip: Clip, aspect: float, smoothing_s: float = 0.5) -> list[Camera]:
     """A camera for each frame of a clip, for pictures of that width over height."""
-    return follow(
+    return following_cameras(
         outline_points(clip.link_position, clip.link_quat, clip.height_m),
         clip.qpos[:, :3],
         three_quarter_azimuth(clip.qpos[:, 3:7]),
@@ -97,7 +97,7 @@ class _Shot:
         return len(self.avatar)
 
 
-def _shot(rollout: Rollout, aspect: float, layout: Layout, ground: HeightField | None) -> _Shot:
+def _shot(rollout: Rollout, aspect: float, layout: FilmLayout, ground: HeightField | None) -> _Shot:
     clip, frames = rollout.reference, len(rollout)
     azimuth = three_quarter_azimuth(clip.qpos[:frames, 3:7])
     root = clip.qpos[:frames, :3]
@@ -121,7 +121,7 @@ def _shot(rollout: Rollout, aspect: float, layout: Layout, ground: HeightField |
         person=person,
         aside=aside,
         error_cm=mpjpe_cm(rollout.link_position, position),
-        cameras=follow(
+        cameras=following_cameras(
             np.concatenate(points, axis=1),
             root + aside / 2.0,
             azimuth,
@@ -161,7 +161,7 @@ def rollout_frames(
     columns: int = 2,
     stride: int = 2,
     max_seconds: float = 10.0,
-    layout: Layout = "beside",
+    layout: FilmLayout = "beside",
     ground: HeightField | None = None,
 ) -> Iterator[np.ndarray]:
     """Pictures ``(height, width, 3)`` of a page of rollouts that play at the same time.
@@ -226,7 +226,7 @@ def rollout_video(
     columns: int = 2,
     stride: int = 2,
     max_seconds: float = 10.0,
-    layout: Layout = "beside",
+    layout: FilmLayout = "beside",
     ground: HeightField | None = None,
 ) -> Path:
     """Film rollouts, four to a page, page after page: the avatar beside the person it follows.

@@ -11,7 +11,7 @@ import numpy as np
 from questsim import rotations as rot
 from questsim.motion.clip import FPS
 from questsim.objects import ObjectTrack
-from questsim.viewing.camera import follow, three_quarter_azimuth
+from questsim.viewing.camera import following_cameras, three_quarter_azimuth
 from questsim.viewing.captions import caption
 from questsim.viewing.costume import REFERENCE
 from questsim.viewing.live import Settings, Snapshot, force_arrows
@@ -80,7 +80,7 @@ def take_frames(take: Take, width: int, height: int, stride: int = 1) -> Iterato
         outlines.append(
             ObjectTrack(first.parts, np.stack(place), np.stack(turn)).corners_near(position[:, 0])
         )
-    cameras = follow(
+    cameras = following_cameras(
         np.concatenate(outlines, axis=1),
         position[:, 0],
         three_quarter_azimuth(np.stack([m.reference_quat[0] for m in take.moments])),

@@ -22,7 +22,7 @@ from questsim.viewing.live import Scenery, Snapshot, force_arrows
 from questsim.viewing.render import metre_tile
 
 SKY = (226, 232, 240)
-_THING_COLOURS = [[240, 236, 224], [226, 170, 60]]
+_OBJECT_COLOURS = [[240, 236, 224], [226, 170, 60]]
 _FLAT_HALF_SIZE_M = 40.0
 _GHOST_OPACITY = 0.18
 _ARROW_HEAD_M = 0.06
@@ -259,6 +259,6 @@ def object_mesh(parts: Sequence[ObjectShape]) -> trimesh.Trimesh:
         count += len(shape.vertices)
     mesh = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
     half = (mesh.vertices > mesh.bounds.mean(axis=0)).sum(axis=1) % 2
-    image = Image.fromarray(np.array([_THING_COLOURS], np.uint8))
+    image = Image.fromarray(np.array([_OBJECT_COLOURS], np.uint8))
     mesh.visual = _textured(np.column_stack([0.25 + 0.5 * half, 0.5 + 0.0 * half]), image, 0.5)
     return mesh

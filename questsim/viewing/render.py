@@ -24,7 +24,7 @@ from questsim.viewing.gl import use_gl
 _HORIZON = (0.90, 0.92, 0.945)
 _ZENITH = (0.70, 0.77, 0.86)
 _SUN_DISTANCE_M = 4.0
-_THING = (0.89, 0.67, 0.24, 1.0)
+_OBJECT = (0.89, 0.67, 0.24, 1.0)
 _EXTENT_M = 3.0
 
 
@@ -112,7 +112,7 @@ def object_markers(
         ball = part.shape == "ball"
         x, y, z = part.size * 3 if ball else part.size
         middle = position + turn @ np.array(part.place)
-        markers.append(Marker(middle, turn, (x, y, z), _THING, ball))
+        markers.append(Marker(middle, turn, (x, y, z), _OBJECT, ball))
     return markers
 
 

@@ -18,9 +18,9 @@ from agents.kinematic.skeletal import (
     POOLINGS,
     SIZES,
     MaskedLinear,
+    across_joints,
     neighbour_mask,
     pool_matrix,
-    spread,
     unpool_matrix,
 )
 from agents.kinematic.switches import SWITCH
@@ -113,14 +113,14 @@ class PoseAutoencoder(nn.Module):
         x = pose
         for level, layer in enumerate(self.encoder):
             x = nn.functional.leaky_relu(layer(x), 0.2)
-            x = spread(getattr(self, f"pool_{level}"), x, ENCODED)
+            x = across_joints(getattr(self, f"pool_{level}"), x, ENCODED)
         return self.to_mean(x), self.to_log_variance(x).clamp(-20.0, 4.0)
 
     def decode(self, latent: Tensor) -> Tensor:
         """Decode latents ``(B, 24)`` to ``(B, 23, 4)``: 22 joints, then the displacement."""
         x = nn.functional.leaky_relu(self.from_latent(latent), 0.2)
         for level, layer in zip((2, 1, 0), self.decoder, strict=True):
-            x = layer(spread(getattr(self, f"unpool_{level}"), x, DECODED))
+            x = layer(across_joints(getattr(self, f"unpool_{level}"), x, DECODED))
             if level:
                 x = nn.functional.leaky_relu(x, 0.2)
         return x.unflatten(-1, (NUM_JOINTS + 1, DECODED))

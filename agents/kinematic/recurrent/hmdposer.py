@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from agents.kinematic.derived_weights import DerivedWeights
 from agents.kinematic.recurrent.features import ATOMS
-from agents.kinematic.recurrent.lstm import LstmBank, State
+from agents.kinematic.recurrent.lstm import LstmBank, LstmState
 from agents.kinematic.small_batch import (
     EncoderLayer,
     Linear,
@@ -139,8 +139,8 @@ class HmdPoserNet(DerivedWeights):
         return index, weights, bias, torch.tensor(order)
 
     def forward(
-        self, features: Tensor, body: Tensor, states: list[State] | None = None
-    ) -> tuple[Tensor, Tensor, list[State]]:
+        self, features: Tensor, body: Tensor, states: list[LstmState] | None = None
+    ) -> tuple[Tensor, Tensor, list[LstmState]]:
         """Poses of a sequence.
 
         Args:

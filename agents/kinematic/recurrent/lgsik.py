@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from agents.kinematic.recurrent.features import ATOMS
-from agents.kinematic.recurrent.lstm import LstmBank, State
+from agents.kinematic.recurrent.lstm import LstmBank, LstmState
 from agents.kinematic.skeletal import MaskedLinear
 from agents.kinematic.small_batch import Linear
 from agents.kinematic.switches import SWITCH
@@ -166,8 +166,8 @@ class LgsikNet(nn.Module):
         return [layer for layer in last if isinstance(layer, nn.Linear)]
 
     def forward(
-        self, features: Tensor, body: Tensor, states: list[State] | None = None
-    ) -> tuple[Tensor, Tensor, list[State]]:
+        self, features: Tensor, body: Tensor, states: list[LstmState] | None = None
+    ) -> tuple[Tensor, Tensor, list[LstmState]]:
         """Poses of a sequence; arguments and result as in ``HmdPoserNet.forward``.
 
         Args:

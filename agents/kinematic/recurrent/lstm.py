@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from agents.kinematic.derived_weights import DerivedWeights
 from agents.kinematic.small_batch import group_linear
 
-State = tuple[Tensor, Tensor]
+LstmState = tuple[Tensor, Tensor]
 """Hidden and cell state, each ``(groups, B, size)``."""
 
 
@@ -48,7 +48,7 @@ class LstmBank(DerivedWeights):
         across = weight(self.hidden_direction, self.hidden_length)
         return torch.cat([into, across], dim=-1), self.input_bias + self.hidden_bias
 
-    def forward(self, x: Tensor, state: State | None = None) -> tuple[Tensor, State]:
+    def forward(self, x: Tensor, state: LstmState | None = None) -> tuple[Tensor, LstmState]:
         """Run over time.
 
         Args:
@@ -63,7 +63,7 @@ class LstmBank(DerivedWeights):
             state = (zero, zero)
         return self._step(x, state) if x.shape[1] == 1 else self._sequence(x, state)
 
-    def _step(self, x: Tensor, state: State) -> tuple[Tensor, State]:
+    def _step(self, x: Tensor, state: LstmState) -> tuple[Tensor, LstmState]:
         """One frame of all groups at once."""
         weights, bias = self.derived(self._weights)
         seen = torch.cat([x[:, 0].transpose(0, 1), state[0]], dim=-1)
@@ -72,7 +72,7 @@ class LstmBank(DerivedWeights):
         hidden = torch.sigmoid(o) * torch.tanh(cell)
         return hidden.transpose(0, 1)[:, None], (hidden, cell)
 
-    def _sequence(self, x: Tensor, state: State) -> tuple[Tensor, State]:
+    def _sequence(self, x: Tensor, state: LstmState) -> tuple[Tensor, LstmState]:
         """Run group by group through PyTorch's LSTM, which is fast on sequences."""
         kind = torch.get_autocast_dtype("cpu") if torch.is_autocast_enabled("cpu") else x.dtype
         both, bias = (w.to(kind) for w in self.derived(self._weights))

@@ -22,9 +22,9 @@ from agents.kinematic.skeletal import (
     MaskedConv,
     MaskedLinear,
     PlainMixing,
+    across_joints,
     neighbour_mask,
     pool_matrix,
-    spread,
     unpool_matrix,
 )
 from agents.kinematic.switches import SWITCH
@@ -137,7 +137,7 @@ class Generator(nn.Module):
 
     def _spread(self, name: str, x: Tensor, channels: int) -> Tensor:
         if self.spec.skeletal:
-            return spread(getattr(self, name), x, channels)
+            return across_joints(getattr(self, name), x, channels)
         return self.mixing[name](x)
 
     def _static(self, offsets: Tensor) -> tuple[list[Tensor], Tensor]:
