@@ -87,6 +87,11 @@ def quat_rotate(quat: np.ndarray, vec: np.ndarray) -> np.ndarray:
     return out
 
 
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors ``(..., 3)`` scaled to length 1; those shorter than 1e-9 stay shorter."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
+
+
 def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Geodesic angle in radians ``(...)`` between quaternions wxyz ``(..., 4)``."""
     d = quat_multiply(quat_conjugate(a), b)

@@ -49,6 +49,11 @@ def test_angle_between_is_the_geodesic_angle_whatever_the_signs() -> None:
     assert rot.angle_between(a, -b) == pytest.approx(1.2)
 
 
+def test_unit_vectors_have_length_one_and_a_zero_vector_stays_zero() -> None:
+    vectors = np.array([[3.0, 0.0, 4.0], [0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(rot.unit(vectors), [[0.6, 0.0, 0.8], [0.0, 0.0, 0.0]])
+
+
 def test_angular_velocity_of_a_steady_spin() -> None:
     spin = np.array([0.2, -0.5, 1.5])
     turns = rot.as_quat(Rotation.from_rotvec(spin * np.arange(20)[:, None] / 36.0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from questsim import rotations as rot
 from questsim.motion.motion import Motion
 from questsim.skeleton import JOINT_PARENTS, JOINTS
 
@@ -89,18 +90,18 @@ def _bends(motion: Motion) -> list[str]:
         )
         foot = at(f"{side}_toe") - at(f"{side}_ankle")
         # The toes must point to the side where the knee is off the line from hip to ankle.
-        ahead = _unit(thigh) - _unit(shin)
-        along = _unit(shin)
-        foot = _unit(foot - np.sum(foot * along, axis=-1, keepdims=True) * along)
+        ahead = rot.unit(thigh) - rot.unit(shin)
+        along = rot.unit(shin)
+        foot = rot.unit(foot - np.sum(foot * along, axis=-1, keepdims=True) * along)
         bend = np.sum(ahead * foot, axis=-1)
         if np.mean(abs(bend)) > MIN_BEND and np.mean(bend) < -0.5 * np.mean(abs(bend)):
             out.append(f"the {side} knee bends backwards: its axes or left and right are wrong")
     left = at("left_shoulder") - at("right_shoulder")
-    front = _unit(np.cross(left, at("neck") - at("spine1")))
+    front = rot.unit(np.cross(left, at("neck") - at("spine1")))
     elbows = np.stack(
         [
-            _unit(at(f"{side}_wrist") - at(f"{side}_elbow"))
-            - _unit(at(f"{side}_elbow") - at(f"{side}_shoulder"))
+            rot.unit(at(f"{side}_wrist") - at(f"{side}_elbow"))
+            - rot.unit(at(f"{side}_elbow") - at(f"{side}_shoulder"))
             for side in ("left", "right")
         ]
     )
@@ -108,7 +109,3 @@ def _bends(motion: Motion) -> list[str]:
     if (bend.mean(axis=1) < -MIN_ELBOW).all() and (bend < 0).mean() > 0.9:
         out.append("both elbows bend backwards: the axes or left and right are wrong")
     return out
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-9)

@@ -137,14 +137,10 @@ def ankle_rise(motion: Motion, position: np.ndarray) -> float:
     return float(max(drop, 0.0) + np.clip(toe_height, 0.01, 0.05))
 
 
-def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-9)
-
-
 def _frame(down: np.ndarray, left: np.ndarray) -> np.ndarray:
     """Quaternions ``(..., 4)`` of links that hang along ``down``, their y axis near ``left``."""
-    z = -_unit(down)
-    y = _unit(left - np.sum(left * z, axis=-1, keepdims=True) * z)
+    z = -rot.unit(down)
+    y = rot.unit(left - np.sum(left * z, axis=-1, keepdims=True) * z)
     return rot.matrix_to_quat(np.stack([np.cross(y, z), y, z], axis=-1))
 
 
@@ -228,7 +224,7 @@ def fill_arms(
     rest = np.stack([ARM_REST[side] for side in SIDES])
     own_axis = rot.quat_rotate(rot.quat_multiply(quat[:, starts], rest), np.array([0.0, 1.0, 0.0]))
     # A bent arm defines its plane; towards a straight arm, the upper arm's axis takes over.
-    axis = np.cross(_unit(reach), _unit(upper)) + STRAIGHT_ARM_WEIGHT * own_axis
+    axis = np.cross(rot.unit(reach), rot.unit(upper)) + STRAIGHT_ARM_WEIGHT * own_axis
     arm, forearm, elbow = _two_bones(reach, axis, upper_lengths, lower_lengths, bend=-1.0)
 
     turn = np.stack([rot.yaw_quat(np.array(SHOULDER_TURN[side])) for side in SIDES])

@@ -88,7 +88,7 @@ def _at(joint: str) -> int:
 
 def _across(placed: Places, joint: str) -> np.ndarray:
     """Unit vectors ``(T, 3)`` from the right joint to the left one."""
-    return _unit(placed[_at(f"left_{joint}")] - placed[_at(f"right_{joint}")])
+    return rot.unit(placed[_at(f"left_{joint}")] - placed[_at(f"right_{joint}")])
 
 
 def _middle(placed: Places, joint: str) -> np.ndarray:
@@ -98,7 +98,7 @@ def _middle(placed: Places, joint: str) -> np.ndarray:
 def _bend(placed: Places, side: str) -> np.ndarray:
     """Hinge axis ``(T, 3)`` of a knee in the world, as long as the sine of its bend."""
     hip, knee, ankle = (placed[_at(f"{side}_{joint}")] for joint in ("hip", "knee", "ankle"))
-    return np.cross(_unit(knee - hip), _unit(ankle - knee))
+    return np.cross(rot.unit(knee - hip), rot.unit(ankle - knee))
 
 
 def _off_hinge(thigh: np.ndarray, bend: np.ndarray) -> bool:
@@ -108,39 +108,35 @@ def _off_hinge(thigh: np.ndarray, bend: np.ndarray) -> bool:
 
 def _off_axis(quat: np.ndarray, left: np.ndarray) -> bool:
     """Whether a joint's own left is far from that of the body."""
-    cosine = np.sum(rot.quat_rotate(quat, LEFT) * _unit(left), axis=-1)
+    cosine = np.sum(rot.quat_rotate(quat, LEFT) * rot.unit(left), axis=-1)
     angle = float(np.median(np.arccos(np.clip(cosine, -1.0, 1.0))))
     return OFF_AXIS[0] < angle < OFF_AXIS[1]
 
 
 def _frame(left: np.ndarray, up: np.ndarray) -> np.ndarray:
     """Orientations ``(T, 4)`` with an exact left and an approximate up direction."""
-    y = _unit(left)
-    z = _unit(up - np.sum(up * y, axis=-1, keepdims=True) * y)
+    y = rot.unit(left)
+    z = rot.unit(up - np.sum(up * y, axis=-1, keepdims=True) * y)
     return rot.matrix_to_quat(np.stack([np.cross(y, z), y, z], axis=-1))
 
 
 def _straight(chest: np.ndarray, bone: np.ndarray) -> np.ndarray:
     """Directions ``(T, 3)`` of a neck, turned in the chest so that their median is upright."""
-    own = rot.quat_rotate(rot.quat_conjugate(chest), _unit(bone))
-    lean = _unit(np.median(own, axis=0))
+    own = rot.quat_rotate(rot.quat_conjugate(chest), rot.unit(bone))
+    lean = rot.unit(np.median(own, axis=0))
     half = np.append(1.0 + lean[2], np.cross(lean, [0.0, 0.0, 1.0]))
     return rot.quat_rotate(chest, rot.quat_rotate(half / np.linalg.norm(half), own))
 
 
 def _rolled(quat: np.ndarray, bone: np.ndarray, left: np.ndarray) -> np.ndarray:
     """Orientations ``(T, 4)`` turned about ``bone`` so that their y axis is next to ``left``."""
-    axis = _unit(bone)
+    axis = rot.unit(bone)
 
     def across(vector: np.ndarray) -> np.ndarray:
-        return _unit(vector - np.sum(vector * axis, axis=-1, keepdims=True) * axis)
+        return rot.unit(vector - np.sum(vector * axis, axis=-1, keepdims=True) * axis)
 
     own, wanted = across(rot.quat_rotate(quat, LEFT)), across(left)
     sine = np.sum(np.cross(own, wanted) * axis, axis=-1)
     half = np.arctan2(sine, np.sum(own * wanted, axis=-1)) / 2.0
     turn = np.concatenate([np.cos(half)[:, None], np.sin(half)[:, None] * axis], axis=-1)
     return rot.quat_multiply(turn, quat)
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-9)
