@@ -55,21 +55,21 @@ class Avatar:
             return int(self.own.role_link[LINKS.index(name)])
         return self.links.index(name)
 
-    def our_links(self, position: np.ndarray, quat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Poses ``(..., 16, 3 | 4)`` of the links of our avatar on this body."""
-        return (position, quat) if self.own is None else self.own.roles(position, quat)
+    def our_links(
+        self, position: np.ndarray, quat: np.ndarray, height_m: np.ndarray | float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Poses ``(..., 16, 3 | 4)`` of the links of our avatar on this body.
+
+        Args:
+            position, quat: ``(..., L, 3)``, ``(..., L, 4)`` of the links.
+            height_m: stature, or one for each row.
+        """
+        return (position, quat) if self.own is None else self.own.roles(position, quat, height_m)
 
     def soles(self, position: np.ndarray, quat: np.ndarray, height_m: float) -> np.ndarray:
-        """Points ``(m, 2, k, 3)`` of the soles of links ``(m, L, 3)``, ``(m, L, 4)``.
-
-        Of a body of the user's own, the lowest point of each foot.
-        """
-        if self.own is None:
-            feet = list(FOOT_LINKS)
-            return sole_positions(position[:, feet], quat[:, feet], height_m)
-        lowest = np.zeros((len(position), 2, 1, 3))
-        lowest[:, :, 0, 2] = self.own.support.lowest(position, quat)
-        return lowest
+        """Points ``(m, 2, k, 3)`` of the soles of our humanoid's links ``(m, 16, 3 | 4)``."""
+        feet = list(FOOT_LINKS)
+        return sole_positions(position[:, feet], quat[:, feet], height_m)
 
     def clearance(
         self,
@@ -88,7 +88,11 @@ class Avatar:
         clearance = np.empty((len(heights), 2))
         for height in np.unique(heights):
             these = heights == height
-            soles = self.soles(position[these], quat[these], float(height))
+            links = position[these], quat[these]
+            if self.own is not None:
+                clearance[these] = self.own.support.lowest(*links, field, height / self.base_m)
+                continue
+            soles = self.soles(*links, float(height))
             above = soles[..., 2] - (0.0 if field is None else field.height_at(soles))
             clearance[these] = above.min(axis=-1)
         return clearance

@@ -11,7 +11,7 @@ from envs.avatar import Avatar
 from envs.config import EnvConfig
 from envs.episode_random import within
 from envs.randomisation import Randomisation, varied_models
-from envs.world import build_world
+from envs.world import build_own_world, build_world
 from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M, Body
 from questsim.body_proportions import PARTS, Proportions, drawn_proportions
 from questsim.errors import InputError
@@ -160,11 +160,12 @@ def models_of(
     bodies: Bodies, config: EnvConfig, avatar: Avatar, seed: int
 ) -> tuple[Body, list[mujoco.MjModel]]:
     """The default body in the config's world, and the model of each simulation."""
-    own = avatar.own
 
     def build(height: float, proportions: Proportions | None) -> Body:
-        if own is not None:
-            return own.colliding if config.self_collision else own.body
+        if config.body is not None:
+            return build_own_world(
+                config.body, float(height), config.self_collision, config.terrain, config.objects
+            )
         return build_world(
             float(height),
             config.body_preset,

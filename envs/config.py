@@ -117,8 +117,8 @@ class EnvConfig:
         unscaled_m: stature of the avatar minus that of its user. Device signals and reference are
             those of the user, not scaled to the avatar; errors are measured from the user's links.
         body: a body of the user's own, see ``questsim.bodies``; None for our avatar. Clips are
-            retargeted to it. It has one size and stands on a plane: no ``heights``, ``terrain``,
-            ``height_scan``, ``objects``, ``body_preset`` or ``proportions``.
+            retargeted to it, and its users are of its size: no ``unscaled_m``, ``body_preset`` or
+            ``proportions``.
         proportions: spread of proportions that are drawn for the avatars, the standard deviation
             of the logarithm of each part, 0 to 0.15; 0 for those of the clips. Each clip is moved
             to one of at most eight bodies, and a simulation plays the clips of its own body.
@@ -216,17 +216,12 @@ def _imus(devices: Sequence[str]) -> list[str]:
     return [name for name in devices if DEVICES[name].kind == "imu"]
 
 
-_ONE_SIZE = "its MJCF has one size; write another file for another size"
-_FLAT = "the reference's feet are fitted to the ground with our avatar's legs"
+_ONE_SIZE = "users have the size and proportions of the body"
 _NOT_OWN = {
-    "heights": _ONE_SIZE,
     "unscaled_m": _ONE_SIZE,
     "proportions": _ONE_SIZE,
     "observe_proportions": _ONE_SIZE,
     "body_preset": "masses, limits and damping are those of its MJCF",
-    "terrain": _FLAT,
-    "height_scan": _FLAT,
-    "objects": "their sizes and places are made for our avatar",
 }
 """Options of our avatar alone, each with the reason."""
 

@@ -184,7 +184,8 @@ class BatchSim:
         from questsim.motion.reproportion import with_proportions  # late: for rendering and scores
 
         if self.config.body is not None:
-            scaled = bodies.clip_for(self.config.body, clip)
+            height = float(self.user_heights[i])
+            scaled = bodies.clip_for(self.config.body, clip).scaled(height)
         else:
             scaled = clip.scaled(float(self.user_heights[i]))
             scaled = with_proportions(scaled, self.bodies.proportions[i])

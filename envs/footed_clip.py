@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from envs.avatar import Avatar
 from envs.footing import fill
 from envs.footsteps import footsteps_of
-from envs.kernel_arguments import Episodes, ReferencePoses, Target, ground_of
+from envs.kernel_arguments import Episodes, Ground, ReferencePoses, Target, ground_of
 from envs.leg_ik import legs
 from envs.placement import moved, turn_quat, turned
 from questsim import rotations as rot
-from questsim.body import DEFAULT_HEIGHT_M
+from questsim.bodies import OwnBody
 from questsim.heightfield import HeightField
 from questsim.motion.clip import Clip
-from questsim.skeleton import NUM_DOFS, NUM_LINKS
 
 _ARRAYS = (
     "qpos",
@@ -27,33 +27,34 @@ _ARRAYS = (
 )
 
 
-def footed_clip(clip: Clip, place: np.ndarray, field: HeightField | None) -> Clip:
+def footed_clip(
+    clip: Clip, place: np.ndarray, field: HeightField | None, avatar: Avatar, body: OwnBody | None
+) -> Clip:
     """Move and turn a clip, lift it by the ground, and put its feet on the ground.
 
     Args:
         clip: a clip of the avatar's height.
         place: ``(4,)`` x and y in metres, cosine and sine of the turn.
         field: the ground, None for a plane.
+        avatar: the avatar of the task.
+        body: the user's own body; None for our humanoid.
     """
     if field is None:
         return _turned_clip(clip, place)
     frames = len(clip)
-    common = clip.scaled(DEFAULT_HEIGHT_M)
-    target, rows = Target.of(frames, 1, NUM_DOFS, NUM_LINKS), np.arange(frames)
+    common = clip.scaled(avatar.base_m)
+    target = Target.of(frames, 1, len(avatar.dofs), len(avatar.links))
+    rows = np.arange(frames)
     many = np.broadcast_to(place, (frames, 4)).copy()
     episodes = Episodes(
         frame=rows,
         begin=np.zeros(frames, np.int64),
         end=np.full(frames, frames),
         place=many,
-        ratio=np.full(frames, clip.height_m / DEFAULT_HEIGHT_M),
+        ratio=np.full(frames, clip.height_m / avatar.base_m),
         scale=np.full((frames, 1), clip.height_m),
     )
-    poses = ReferencePoses(
-        common.qpos, common.link_position, common.link_quat, footsteps_of([common])
-    )
-    now = np.zeros(1, np.int64)
-    fill(0, frames, rows, episodes, now, poses, ground_of(field), legs(), 1.0, target)
+    _fill_all(common, episodes, ground_of(field), body, target)
     turn = turn_quat(many)
     position, rise = target.position[:, 0], target.rise[:, 0].copy()
     rise[0] = rise[1] if frames > 1 else 0.0
@@ -72,6 +73,25 @@ def footed_clip(clip: Clip, place: np.ndarray, field: HeightField | None) -> Cli
         link_velocity=velocity,
         link_angular_velocity=turned(many, clip.link_angular_velocity),
     )
+
+
+def _fill_all(
+    clip: Clip, episodes: Episodes, ground: Ground, body: OwnBody | None, target: Target
+) -> None:
+    """Fill the target of every frame of a clip of the size that reference lengths are of."""
+    frames, now = len(clip), np.zeros(1, np.int64)
+    steps = footsteps_of([clip] if body is None else [])
+    rows, links = episodes.frame, (clip.qpos, clip.link_position, clip.link_quat)
+    if body is None:
+        poses = ReferencePoses(*links, steps)
+        fill(0, frames, rows, episodes, now, poses, ground, legs(), 1.0, target)
+        return
+    from envs.own_legs import fill_own, own_feet  # late: few tasks have such a body
+
+    own = own_feet(body, [clip])
+    qpos, position, quat = (np.ascontiguousarray(part, np.float32) for part in links)
+    poses = ReferencePoses(qpos, position, quat, steps)
+    fill_own(0, frames, rows, episodes, now, poses, own.roles, ground, own.legs, 1.0, target)
 
 
 def _turned_clip(clip: Clip, place: np.ndarray) -> Clip:

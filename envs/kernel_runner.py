@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -31,11 +31,17 @@ from envs.reference import Reference
 from envs.surroundings import Surroundings
 from questsim.reward import COMPILED
 
+if TYPE_CHECKING:
+    from envs.own_legs import OwnFeet
+
 _NOW = np.zeros(1, np.int64)
 
 
 class View(NamedTuple):
-    """A reference, its present target, the observation of it, and the teacher's devices."""
+    """A reference, its present target, the observation of it, and the teacher's devices.
+
+    ``own``: see ``Reference``.
+    """
 
     poses: ReferencePoses
     rows: ReferenceRows
@@ -43,6 +49,7 @@ class View(NamedTuple):
     target: Target
     observation: np.ndarray
     teacher: tuple[np.ndarray, np.ndarray]
+    own: OwnFeet | None
 
 
 class KernelRunner:
@@ -115,6 +122,7 @@ class KernelRunner:
             Target.of(n, len(self._ahead), poses.qpos.shape[1] - 7, poses.position.shape[1]),
             np.zeros((n, observation_size(self.layout)), np.float32),
             (reference.teacher_position, reference.teacher_quat),
+            reference.own,
         )
 
     def fill_targets(self, ids: np.ndarray) -> None:
@@ -141,22 +149,30 @@ class KernelRunner:
 
     def _fill_chunk(self, first: int, last: int, ids: np.ndarray) -> None:
         for view in self.views:
-            self._fill(first, last, ids, view.poses, self._ahead, 0.0, view.target)
+            self._fill(first, last, ids, view, self._ahead, 0.0, view.target)
         if self.target is not self.views[0].target:
-            self._fill(first, last, ids, self.views[0].poses, _NOW, 1.0, self.target)
+            self._fill(first, last, ids, self.views[0], _NOW, 1.0, self.target)
 
     def _fill(
         self,
         first: int,
         last: int,
         ids: np.ndarray,
-        poses: ReferencePoses,
+        view: View,
         ahead: np.ndarray,
         walking: float,
         target: Target,
     ) -> None:
+        if view.own is not None:
+            from envs.own_legs import fill_own  # late: few tasks have such a body
+
+            fill_own(
+                first, last, ids, self._episodes, ahead, view.poses, view.own.roles, self._ground,
+                view.own.legs, walking, target,
+            )  # fmt: skip
+            return
         footing.fill(
-            first, last, ids, self._episodes, ahead, poses, self._ground, self._legs, walking,
+            first, last, ids, self._episodes, ahead, view.poses, self._ground, self._legs, walking,
             target,
         )  # fmt: skip
 

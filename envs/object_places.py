@@ -10,6 +10,7 @@ from envs.episode_random import Drawing, EpisodeRandom, within
 from envs.objects import WorldObject
 from envs.placement import Placement, moved
 from envs.reference import Reference
+from questsim.body import DEFAULT_HEIGHT_M
 from questsim.heightfield import HeightField
 from questsim.motion.clip import FPS
 
@@ -28,6 +29,7 @@ class Objects(Drawing):
         objects: options.
         random: numbers to draw from.
         qpos, qvel, sensors: bound fields of the batch.
+        base_m: stature that reference lengths are of.
     """
 
     def __init__(
@@ -37,7 +39,9 @@ class Objects(Drawing):
         qpos: np.ndarray,
         qvel: np.ndarray,
         sensors: np.ndarray,
+        base_m: float = DEFAULT_HEIGHT_M,
     ) -> None:
+        self._size = base_m / DEFAULT_HEIGHT_M
         n, count = len(qpos), len(objects)
         self._objects, self._random = objects, random
         # Chairs first: the other objects avoid the place of a seated clip's chair.
@@ -134,7 +138,7 @@ class Objects(Drawing):
         nowhere = np.zeros((len(sits), 2))
         look = self._direction(nowhere, place, reference.qpos[rows, 3:7])
         hips = moved(place, reference.qpos[rows, :3].astype(float) * scale)[:, :2]
-        spot[sits], travel[sits] = hips - SEAT_BEHIND_M * scale * look, look
+        spot[sits], travel[sits] = hips - SEAT_BEHIND_M * self._size * scale * look, look
 
     @staticmethod
     def _direction(step: np.ndarray, place: np.ndarray, quat: np.ndarray) -> np.ndarray:

@@ -148,7 +148,10 @@ def shapes_of(obj: WorldObject, height_m: float = DEFAULT_HEIGHT_M) -> tuple[Obj
 
 
 def add_objects(
-    spec: mujoco.MjSpec, objects: Sequence[WorldObject], height_m: float = DEFAULT_HEIGHT_M
+    spec: mujoco.MjSpec,
+    objects: Sequence[WorldObject],
+    height_m: float = DEFAULT_HEIGHT_M,
+    root: str = "pelvis",
 ) -> None:
     """Put objects into a spec, behind the avatar, with a sensor of its force on each.
 
@@ -156,6 +159,7 @@ def add_objects(
         spec: of an avatar on the ground.
         objects: what to add.
         height_m: the avatar's stature; chairs scale with it.
+        root: name of the avatar's root.
     """
     for number, obj in enumerate(objects):
         mass, parts = _made_of(obj, height_m)
@@ -174,7 +178,7 @@ def add_objects(
             name=f"force_on_object{number}",
             type=mujoco.mjtSensor.mjSENS_CONTACT,
             objtype=mujoco.mjtObj.mjOBJ_XBODY,
-            objname="pelvis",
+            objname=root,
             reftype=mujoco.mjtObj.mjOBJ_BODY,
             refname=f"object{number}",
         )

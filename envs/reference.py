@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from envs.kernel_arguments import ReferencePoses, ReferenceRows
 from questsim.errors import InputError, value_text
 from questsim.motion.clip import Clip
 from questsim.sensors import device_poses, sensor_set
+
+if TYPE_CHECKING:
+    from envs.own_legs import OwnFeet
 
 _SAME_HEIGHT_M = 0.002
 
@@ -36,6 +39,8 @@ class Reference:
         steps: stance phases of the feet; empty on a plane, which does not need them.
         dev_position, dev_quat: ``(F, D, ...)`` poses of the devices that the policy observes.
         teacher_position, teacher_quat: the same of ``teacher_devices``; ``(F, 0, ...)`` without.
+        own: legs of a body of the user's own, and the avatar's links on it; None for the avatar
+            and on a plane.
     """
 
     names: tuple[str, ...]
@@ -55,6 +60,7 @@ class Reference:
     dev_quat: np.ndarray
     teacher_position: np.ndarray
     teacher_quat: np.ndarray
+    own: OwnFeet | None = None
 
     @property
     def poses(self) -> ReferencePoses:
@@ -107,12 +113,21 @@ class Reference:
             velocity=rows([clip.link_velocity for clip in common]),
             angular_velocity=rows([clip.link_angular_velocity for clip in common]),
             torque=_torques(avatar, common, config),
-            steps=footsteps_of(common if config.terrain is not None else ()),
+            steps=footsteps_of(common if config.terrain is not None and avatar.own is None else ()),
             dev_position=rows([position for position, _ in devices]),
             dev_quat=rows([quat for _, quat in devices]),
             teacher_position=rows([position for position, _ in of_teacher]),
             teacher_quat=rows([quat for _, quat in of_teacher]),
+            own=_own_feet(config, common),
         )
+
+
+def _own_feet(config: EnvConfig, clips: Sequence[Clip]) -> OwnFeet | None:
+    if config.body is None or config.terrain is None:
+        return None
+    from envs.own_legs import own_feet  # late: few tasks have such a body
+
+    return own_feet(config.body, clips)
 
 
 def check_are_clips(clips: Any, where: str) -> None:
@@ -176,5 +191,5 @@ def _teacher_devices(clip: Clip, config: EnvConfig) -> tuple[np.ndarray, np.ndar
 
 
 def _exact_devices(clip: Clip, config: EnvConfig, sensors: str) -> tuple[np.ndarray, np.ndarray]:
-    links = avatar_of(config.body).our_links(clip.link_position, clip.link_quat)
+    links = avatar_of(config.body).our_links(clip.link_position, clip.link_quat, clip.height_m)
     return device_poses(*links, sensor_set(sensors), clip.height_m)

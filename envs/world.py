@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import lru_cache
 
@@ -10,6 +11,9 @@ import numpy as np
 
 from envs.objects import WorldObject, add_objects
 from envs.terrain import Terrain, height_field
+from questsim import rotations as rot
+from questsim.bodies import OwnBody, map_of
+from questsim.bodies.scaling import scaled_spec as scaled_spec_of
 from questsim.body import Body, build_body, let_links_collide, scaled_spec
 from questsim.body_proportions import Proportions
 
@@ -64,7 +68,56 @@ def _build(
     return replace(flat, model=spec.compile())
 
 
-def _stand_on_points(spec: mujoco.MjSpec) -> None:
+@lru_cache(maxsize=128)
+def build_own_world(
+    body: OwnBody,
+    height_m: float,
+    self_collision: bool = False,
+    terrain: Terrain | None = None,
+    objects: tuple[WorldObject, ...] = (),
+) -> Body:
+    """A body of the user's own on the ground; cached, do not write to the model.
+
+    Args:
+        body: the body.
+        height_m: stature; masses, torques and inertias change with it, see ``bodies.scaling``.
+        self_collision, terrain, objects: as of ``build_world``.
+    """
+    own = map_of(body)
+    plain = own.colliding if self_collision else own.body
+    ratio = height_m / plain.height_m
+    if terrain is None and not objects and ratio == 1.0:
+        return plain
+    spec = own.spec.copy() if ratio == 1.0 else scaled_spec_of(own.spec, ratio)
+    if self_collision:
+        let_links_collide(spec)
+    if terrain is not None:
+        height_field(terrain).replace_floor(spec)
+    add_objects(spec, objects, height_m, root=own.links[0])
+    if terrain is not None:
+        feet = {own.links[link] for link in own.support.link}
+        _stand_on_points(spec, lambda geom: _is_capsule_of(geom, feet))
+    return replace(
+        plain,
+        model=spec.compile(),
+        height_m=height_m,
+        torque_limits=plain.torque_limits * ratio**3,
+        damping=plain.damping * ratio**3,
+    )
+
+
+def _is_capsule_of(geom: mujoco.MjsGeom, bodies: Collection[str]) -> bool:
+    capsule = geom.type == mujoco.mjtGeom.mjGEOM_CAPSULE
+    return bool(geom.contype and capsule and geom.parent.name in bodies)
+
+
+def _is_sole(geom: mujoco.MjsGeom) -> bool:
+    return geom.classname.name == _SOLE
+
+
+def _stand_on_points(
+    spec: mujoco.MjSpec, is_sole: Callable[[mujoco.MjsGeom], bool] = _is_sole
+) -> None:
     """Replace the soles' capsules by spheres for contacts with the ground.
 
     A capsule on a plane has a contact at each end. On a triangle of a height field MuJoCo finds
@@ -72,8 +125,8 @@ def _stand_on_points(spec: mujoco.MjSpec) -> None:
     downhill. Spheres at the two ends, and one between them for ridges, avoid this.
     """
     for geom in list(spec.geoms):
-        if geom.classname.name == _SOLE:
-            ends = np.asarray(geom.fromto).reshape(2, 3)
+        if is_sole(geom):
+            ends = _ends(geom)
             for number, share in enumerate((0.0, 0.5, 1.0)):
                 geom.parent.add_geom(
                     name=f"{geom.name}_{number}",
@@ -91,3 +144,12 @@ def _stand_on_points(spec: mujoco.MjSpec) -> None:
         elif geom.contype:
             geom.contype |= _GROUND
     spec.geom("floor").conaffinity = _GROUND
+
+
+def _ends(geom: mujoco.MjsGeom) -> np.ndarray:
+    """Centres ``(2, 3)`` of the ends of a capsule in its body."""
+    fromto = np.asarray(geom.fromto)
+    if not np.isnan(fromto[0]):
+        return fromto.reshape(2, 3)
+    along = rot.quat_rotate(np.asarray(geom.quat), np.array([0.0, 0.0, geom.size[1]]))
+    return np.stack([geom.pos - along, geom.pos + along])

@@ -19,6 +19,8 @@ from agents.policy.policy_agent import PolicyAgent, new_policy
 from agents.policy.spec import Layout, PolicySpec
 from envs.config import EnvConfig
 from envs.core import BatchSim
+from envs.objects import objects_named
+from envs.terrain import terrain_named
 from questsim import rotations as rot
 from questsim.bodies import clip_for, map_of, read_body
 from questsim.bodies.retarget import clip_of_poses, poses_of
@@ -184,6 +186,78 @@ def test_a_chair_carries_the_thighs_of_a_seated_clip(file):
     assert on_chair < 0.6 * crouched
 
 
+@pytest.mark.parametrize("name", [GYMNASIUM, ROBOT], ids=["gymnasium", "robot"])
+def test_feet_of_another_body_stand_on_uneven_ground_as_on_the_floor(name, walk):
+    body = read_body(name)
+    own, level = map_of(body), clip_for(body, walk)
+    high = own.support.lowest(level.link_position, level.link_quat)
+    stands = high < 0.005
+    for terrain in ("slope:slope_deg=6", "rough", "rough:amplitude_m=0"):
+        config = EnvConfig(body=body, terrain=terrain_named(terrain, "terrain"))
+        sim = BatchSim([walk], config, 1, seed=1)
+        sim.reset(clip=0)
+        field, placed = sim.placement.field, sim.placed_clip(0, walk)
+        # Its links are where its hinges put them, and no hinge is beyond its range.
+        np.testing.assert_allclose(
+            poses_of(own, placed.qpos)[0], placed.link_position, rtol=0, atol=1e-5
+        )
+        angles = placed.qpos[:, 7:]
+        assert (angles > own.joint_range[:, 0] - 0.01).all()
+        assert (angles < own.joint_range[:, 1] + 0.01).all()
+        above = own.support.lowest(placed.link_position, placed.link_quat, field)
+        assert np.abs(above - high)[stands].max() < 0.01 and above.min() > -0.01
+        changed = np.abs(angles - level.qpos[:, 7:]).max()
+        assert changed < 1e-3 if terrain.endswith("=0") else changed > 0.02
+        assert sim.error[0] < 0.01 and sim.foot_clearance.min() > -1e-6
+        for _ in range(5):
+            sim.step(np.zeros((1, len(own.dofs))))
+        assert np.isfinite(sim.observation).all() and not sim.unstable.any()
+        assert sim.error[0] < 0.1
+        sim.close()
+
+
+def test_bodies_of_several_heights_follow_their_scaled_clips(walk):
+    body = read_body(ROBOT)
+    own = map_of(body)
+    sim = BatchSim([walk], EnvConfig(body=body, heights=(1.2, 1.6)), 2, seed=1)
+    sim.reset(clip=0, frame=5)
+    ratio = np.array([1.2, 1.6]) / own.body.height_m
+    weight = own.body.model.body_mass[1:].sum()
+    assert sim.masses == pytest.approx(weight * ratio**3)
+    assert sim.torque_limits[1] == pytest.approx(own.body.torque_limits * ratio[1] ** 3)
+    assert sim.error.max() < 1e-3 and np.abs(sim.foot_clearance).max() < 0.05
+    level = clip_for(body, walk)
+    for i in range(2):
+        want = level.link_position[5] * ratio[i]
+        np.testing.assert_allclose(sim.link_positions[i], want, atol=1e-4)
+        placed = sim.placed_clip(i, walk)
+        assert placed.height_m == pytest.approx((1.2, 1.6)[i])
+        head = sim.avatar.our_links(placed.link_position, placed.link_quat, placed.height_m)[0]
+        ours, _ = own.roles(level.link_position, level.link_quat)
+        np.testing.assert_allclose(head, ours * ratio[i], atol=1e-4)
+    assert np.diff(sim.observation[:, sim.layout["o_scale"]], axis=0)[0] == pytest.approx(0.4)
+    sim.close()
+
+
+@pytest.mark.parametrize("name", [GYMNASIUM, ROBOT], ids=["gymnasium", "robot"])
+def test_another_body_pushes_an_object_and_feels_it(name, walk):
+    body = read_body(name)
+    config = EnvConfig(body=body, objects=objects_named(["ball"]))
+    sim = BatchSim([walk], config, 1, seed=1)
+    sim.reset(clip=0)
+    apart = np.linalg.norm(sim.objects.pose[0, 0, :2] - sim.qpos[0, :2])
+    assert apart > 0.5 and not sim.objects.force.any()
+    shin = sim.link_positions[0, sim.avatar.link("left_shin")]
+    before = shin + np.array([0.16, 0.0, -0.2])  # the leg swings forward
+    sim.objects.pose[0, 0, :3] = before
+    pushed = 0.0
+    for _ in range(2):
+        sim.step(np.zeros((1, len(sim.avatar.dofs))))
+        pushed = max(pushed, float(sim.objects.force[0, 0, 0]))
+    assert sim.objects.pose[0, 0, 0] > before[0] + 0.005 and pushed > 1.0
+    sim.close()
+
+
 def test_evaluation_compares_our_links_on_the_other_body(walk):
     config = env_config(ZeroAgent(), body=GYMNASIUM)
     for agent in (ZeroAgent(), RandomAgent()):
@@ -277,7 +351,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(tmp_path, walk):
     ):
         with pytest.raises(InputError, match=message):
             read_body(robot_with(tmp_path, old, new))
-    for field, value in (("heights", (1.6, 1.8)), ("terrain", "rough"), ("objects", ("ball",))):
+    for field, value in (("unscaled_m", 0.1), ("proportions", 0.05), ("body_preset", "paper")):
         options: dict[str, Any] = {field: value}
         with pytest.raises(InputError, match=f"{field} does not go with a body of your own"):
             gym.make("QuestSim-v0", motions=[walk], body=GYMNASIUM, **options)

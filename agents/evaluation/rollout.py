@@ -158,7 +158,8 @@ class Recorder:
     def __call__(self, keep: np.ndarray) -> None:
         """Record the present state of the avatars selected by ``keep`` ``(n,)`` bool."""
         sim, at = self._sim, self._at
-        self.position[at], self.quat[at] = sim.avatar.our_links(sim.link_positions, sim.link_quats)
+        links = sim.link_positions, sim.link_quats
+        self.position[at], self.quat[at] = sim.avatar.our_links(*links, sim.heights)
         self.angles[at] = sim.joint_angles
         self.root[at] = sim.qpos[:, :7]
         self.clearance[at] = sim.foot_clearance
@@ -185,7 +186,7 @@ def _as_ours(sim: BatchSim, clip: Clip) -> Clip:
     """The clip of another body with the links of our avatar, which metrics compare."""
     if sim.avatar.own is None:
         return clip
-    position, quat = sim.avatar.our_links(clip.link_position, clip.link_quat)
+    position, quat = sim.avatar.our_links(clip.link_position, clip.link_quat, clip.height_m)
     return replace(clip, link_position=position, link_quat=quat)
 
 

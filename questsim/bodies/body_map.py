@@ -15,6 +15,7 @@ from questsim.bodies.description import TOES, Description, read_description
 from questsim.bodies.own_body import OwnBody
 from questsim.bodies.own_mjcf import hinge_limits, own_spec
 from questsim.bodies.rest import rest_pose
+from questsim.bodies.scaling import scaled_spec
 from questsim.bodies.support import Support, support_of
 from questsim.body import Body
 from questsim.errors import InputError
@@ -63,28 +64,34 @@ class BodyMap:
     strong: np.ndarray
     spec: mujoco.MjSpec
 
-    def looks(self) -> mujoco.MjSpec:
-        """The body alone, for pictures: no floor, light, motor or sensor."""
-        spec = self.spec.copy()
+    def looks(self, height_m: float) -> mujoco.MjSpec:
+        """The body alone at a stature, for pictures: no floor, light, motor or sensor."""
+        spec = scaled_spec(self.spec, height_m / self.body.height_m)
         world = spec.worldbody
         for part in (*spec.actuators, *spec.sensors, *world.geoms, *world.lights):
             spec.delete(part)
         return spec
 
-    def roles(self, position: np.ndarray, quat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def roles(
+        self, position: np.ndarray, quat: np.ndarray, height_m: np.ndarray | float | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Poses of our avatar's 16 links on this body.
 
         Args:
             position: ``(..., L, 3)`` of its links in metres.
             quat: ``(..., L, 4)``.
+            height_m: stature, or one for each row; None for that of the MJCF.
 
         Returns:
             positions ``(..., 16, 3)`` and orientations ``(..., 16, 4)``, as ``skeleton.LINKS``.
         """
         turn = np.asarray(quat, float)[..., self.role_link, :]
         place = np.asarray(position, float)[..., self.role_link, :]
+        at = self.role_at
+        if height_m is not None:
+            at = at * (np.asarray(height_m)[..., None, None] / self.body.height_m)
         return (
-            place + rot.quat_rotate(turn, self.role_at),
+            place + rot.quat_rotate(turn, at),
             rot.quat_multiply(turn, self.role_turn),
         )
 

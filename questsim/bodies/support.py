@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from questsim import rotations as rot
+from questsim.heightfield import HeightField
 
 _GEOM = mujoco.mjtGeom
 _AROUND = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
@@ -29,16 +30,32 @@ class Support:
     point: np.ndarray
     radius: np.ndarray
 
-    def bottoms(self, position: np.ndarray, quat: np.ndarray) -> np.ndarray:
-        """Lowest points ``(..., K, 3)`` of links at ``(..., L, 3)`` turned by ``(..., L, 4)``."""
+    def bottoms(self, position: np.ndarray, quat: np.ndarray, scale: float = 1.0) -> np.ndarray:
+        """Lowest points ``(..., K, 3)`` of links at ``(..., L, 3)`` turned by ``(..., L, 4)``.
+
+        ``scale``: size of the body over that of its MJCF.
+        """
         turn = np.asarray(quat, float)[..., self.link, :]
-        points = np.asarray(position, float)[..., self.link, :] + rot.quat_rotate(turn, self.point)
-        points[..., 2] -= self.radius
+        offset = rot.quat_rotate(turn, scale * self.point)
+        points = np.asarray(position, float)[..., self.link, :] + offset
+        points[..., 2] -= scale * self.radius
         return points
 
-    def lowest(self, position: np.ndarray, quat: np.ndarray) -> np.ndarray:
-        """Height in metres ``(..., 2)`` of each foot's lowest point."""
-        height = self.bottoms(position, quat)[..., 2]
+    def lowest(
+        self,
+        position: np.ndarray,
+        quat: np.ndarray,
+        field: HeightField | None = None,
+        scale: float = 1.0,
+    ) -> np.ndarray:
+        """Height in metres ``(..., 2)`` of each foot's lowest point above the ground.
+
+        Args:
+            position, quat, scale: as of ``bottoms``.
+            field: the ground; None for a plane at zero.
+        """
+        points = self.bottoms(position, quat, scale)
+        height = points[..., 2] - (0.0 if field is None else field.height_at(points))
         return np.stack([height[..., self.foot == foot].min(axis=-1) for foot in (0, 1)], axis=-1)
 
 

@@ -241,7 +241,7 @@ def scene_spec(
         ground.replace_floor(spec)
     for i, figure in enumerate(figures):
         if figure.body is not None:
-            person = figure.body.looks()
+            person = figure.body.looks(figure.height_m)
             if figure.look is not AVATAR:
                 _paint(person, figure.look.shirt)
         else:
