@@ -6,6 +6,7 @@ import { Connection } from "./connection.js";
 import { readFrame } from "./devices.js";
 import { Figure, gazeOf } from "./figure.js";
 import { HeldTogether } from "./held.js";
+import { numbersOf } from "./numbers.js";
 import { Board, Forces, Mirror, Stage, WorldObjects, loadGround, loadObjects, makeWorld } from "./world.js";
 
 const element = (id) => document.getElementById(id);
@@ -46,8 +47,9 @@ const mirroredObjects = new WorldObjects(true);
 const mirror = new Mirror(mirrored, mirroredObjects);
 const stage = new Stage(mirror, board, ahead);
 scene.add(own, objects, stage, forces);
-loadGround(scene, mirror).then((level) => {
-  ahead.visible = level; // on a terrain its place has another height
+loadGround(scene, mirror).then((ground) => {
+  ahead.visible = !ground; // on a terrain its place has another height
+  seen(stage.standOn(ground));
 }).catch((error) => {
   element("fault").textContent = `the ground was not loaded: ${error.message}`;
 });
@@ -108,14 +110,7 @@ function showPose(pose) {
   avatarFaced = true;
   forces.visible = true;
   forces.show(pose);
-  const newtons = Math.hypot(...pose.assist);
-  state.numbers = [
-    `device error ${pose.error_cm === null ? "-" : pose.error_cm.toFixed(1)} cm`,
-    `server time ${pose.step_ms.toFixed(1)} ms`,
-    `assist ${newtons.toFixed(0)} N`,
-    // A device that does not report, by its name.
-    ...pose.silent.map((name) => `no signal: ${name.replaceAll("_", " ")}`),
-  ].join("\n");
+  state.numbers = numbersOf(pose).join("\n");
   window.lastPose = pose; // read by tests
   if (pose.events.length) {
     state.event = pose.events.join("; ");

@@ -22,11 +22,11 @@ export function makeWorld() {
   return scene;
 }
 
-// Replaces the level floor by the session's terrain, if it has one; returns whether it is level.
+// Replaces the level floor by the session's terrain, if it has one; returns its heights or null.
 // The mirror then shows a reflected terrain: the one behind it would hide the reflection's feet.
 export async function loadGround(scene, mirror) {
   const ground = await (await fetch(address("/ground.json"))).json();
-  if (!ground) return true;
+  if (!ground) return null;
   const level = scene.getObjectByName("floor");
   const shape = new PlaneGeometry(ground.side_m, ground.side_m, ground.points - 1, ground.points - 1);
   // A plane's rows run from far to near, each from left to right, as the server's do.
@@ -40,7 +40,18 @@ export async function loadGround(scene, mirror) {
   onlyInGlass(reflected);
   mirror.shifted.add(reflected);
   Object.assign(level.material, { stencilWrite: true, stencilRef: 1, stencilFunc: NotEqualStencilFunc });
-  return false;
+  return ground;
+}
+
+// Height of the terrain at the point of its grid nearest to x and z; 0 without one.
+export function heightAt(ground, x, z) {
+  if (!ground) return 0;
+  const spacing = ground.side_m / (ground.points - 1);
+  const index = (along) => {
+    const nearest = Math.round((along + ground.side_m / 2) / spacing);
+    return Math.min(Math.max(nearest, 0), ground.points - 1);
+  };
+  return ground.heights[index(z) * ground.points + index(x)];
 }
 
 function floor() {
@@ -148,7 +159,14 @@ export class Stage extends Group {
     this.copy = new Group();
     this.copy.add(ahead);
     this.add(mirror, board, this.copy);
+    this.ground = null;
     this.set(new Vector3(), 0);
+  }
+
+  // Stands on a terrain from now on; returns the change as a matrix.
+  standOn(ground) {
+    this.ground = ground;
+    return this.set(this.position.clone(), this.rotation.y);
   }
 
   // Turns to a user at `place` who looks along `gaze`; returns the change as a matrix.
@@ -165,7 +183,9 @@ export class Stage extends Group {
   set(place, yaw) {
     this.updateMatrix();
     const change = this.matrix.clone().invert();
-    this.position.set(place.x, 0, place.z);
+    // The mirror stands on the ground below its middle.
+    const under = [place.x + MIRROR_Z * Math.sin(yaw), place.z + MIRROR_Z * Math.cos(yaw)];
+    this.position.set(place.x, heightAt(this.ground, ...under), place.z);
     this.rotation.y = yaw;
     this.updateMatrix();
     // The figures' poses are in the world, not on the moved stage.
