@@ -21,6 +21,7 @@ from docs.figures.comparison_table import (
     starts,
     written,
 )
+from questsim.errors import InputError
 
 
 def report_of(names, folder, value=1.234):
@@ -30,8 +31,8 @@ def report_of(names, folder, value=1.234):
         for name in names
     ]
     data = {"motions": "some:test", "clips": 4}
-    path = folder / "comparison.json"
-    context = {"agents": trained, "data": data}
+    path = folder / "report.json"
+    context = {"agents": trained, "data": data, "versions": {}}
     path.write_text(
         json.dumps({"schema": SCHEMA, "version": SCHEMA_VERSION, "context": context, "rows": rows})
     )
@@ -70,6 +71,26 @@ def test_cards_get_new_figures_and_keep_the_rest(tmp_path):
     assert card.split("## Figures")[0] == before.split("## Figures")[0]
     assert (tmp_path / "dragposer" / "README.md").read_bytes() == other
     assert figures_text(tmp_path / SOURCE.name, tmp_path / "lgsik") in card
+
+
+def test_a_comparison_of_one_agent_replaces_its_rows_alone(tmp_path):
+    for name in ("lgsik", "dragposer"):
+        shutil.copytree(SHIPPED / name, tmp_path / name)
+    rewrite_cards(report_of(["lgsik", "dragposer"], tmp_path), tmp_path)
+    (tmp_path / "one").mkdir()
+    rewrite_cards(report_of(["lgsik"], tmp_path / "one", value=9.0), tmp_path)
+    kept = json.loads((tmp_path / SOURCE.name).read_text(encoding="utf-8"))
+    assert [(row["agent"], row["pooled"]["root_cm"]) for row in kept["rows"]] == [
+        ("lgsik", 9.0),
+        ("dragposer", 1.234),
+    ]
+    other = report_of(["lgsik"], tmp_path / "one")
+    content = json.loads(other.read_text())
+    content["context"]["data"]["clips"] = 5
+    other.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="differs from the kept report in data, and lacks drag"):
+        rewrite_cards(other, tmp_path)
+    assert kept == json.loads((tmp_path / SOURCE.name).read_text(encoding="utf-8"))
 
 
 def test_each_condition_has_its_column_and_the_usual_tables_have_none_of_them():

@@ -7,15 +7,19 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 from agents.kinematic.store import CARD_FILE, read_system_card
 from agents.resolve import SHIPPED, shipped_systems
 from agents.shipping.system_card import comparison_lines
+from questsim.errors import InputError
 from questsim.files import whole_file
 
 CARD = "README.md"
 SOURCE = SHIPPED / "comparison.json"
 """The kept report."""
+ALIKE = ("data", "seed", "fewer_clips", "tracker")
+"""What two reports must have in common for rows of both to stand in one table."""
 _BEGINS, _ENDS = "## Figures\n", "## Intended use\n"
 
 
@@ -32,6 +36,8 @@ def figures_text(report: Path, folder: Path) -> str:
 def rewrite_cards(report: Path, into: Path = SHIPPED) -> list[Path]:
     """Replace the figures of every shipped system that a comparison has rows of.
 
+    A comparison of some agents replaces only their rows in the kept report.
+
     Args:
         report: ``comparison.json``.
         into: folder of the shipped agents.
@@ -40,10 +46,13 @@ def rewrite_cards(report: Path, into: Path = SHIPPED) -> list[Path]:
         The files that were written: cards, and the kept report.
 
     Raises:
-        InputError: the report is not a comparison of this version.
+        InputError: the report is not a comparison of this version, or has other clips than the
+            kept report and not all of its agents.
     """
-    content = report.read_text(encoding="utf-8")
-    compared = json.loads(content)["context"]["agents"]
+    fresh, kept = json.loads(report.read_text(encoding="utf-8")), into / SOURCE.name
+    compared = fresh["context"]["agents"]
+    if kept.exists():
+        fresh = merged(fresh, json.loads(kept.read_text(encoding="utf-8")), report)
     written = []
     for name in shipped_systems():
         folder = into / name
@@ -59,6 +68,42 @@ def rewrite_cards(report: Path, into: Path = SHIPPED) -> list[Path]:
             new = f"{text[:begin]}{_BEGINS}\n{figures}{text[end:]}"
             path.write_text(new, encoding="utf-8")
         written.append(card)
-    with whole_file(into / SOURCE.name) as path:
-        path.write_text(content, encoding="utf-8")
-    return [*written, into / SOURCE.name]
+    with whole_file(kept) as path:
+        path.write_text(json.dumps(fresh, indent=1) + "\n", encoding="utf-8")
+    return [*written, kept]
+
+
+def merged(fresh: dict[str, Any], kept: dict[str, Any], report: Path = SOURCE) -> dict[str, Any]:
+    """The kept report with the rows that a fresh one has of some of its agents.
+
+    Args:
+        fresh: a report; if it lacks no agent of the kept one it is returned as it is.
+        kept: the report of all agents.
+        report: file of the fresh one, for the message.
+
+    Raises:
+        InputError: the fresh report lacks agents, and is of other clips, seed or tracker.
+    """
+    new, old = fresh["context"], kept["context"]
+    missing = [name for name in old["agents"] if name not in new["agents"]]
+    if not missing:
+        return fresh
+    differ = [key for key in ALIKE if new.get(key) != old.get(key)]
+    if (fresh["schema"], fresh["version"]) != (kept["schema"], kept["version"]):
+        differ.append("version")
+    if differ:
+        raise InputError(
+            f"differs from the kept report in {', '.join(differ)}, and lacks {', '.join(missing)}",
+            report,
+            "compare all agents, or the same clips",
+        )
+    rows = {row["agent"]: [] for row in (*kept["rows"], *fresh["rows"])}
+    for row in kept["rows"]:
+        if row["agent"] not in new["agents"]:
+            rows[row["agent"]].append(row)
+    for row in fresh["rows"]:
+        if row["agent"] in new["agents"]:
+            rows[row["agent"]].append(row)
+    made_with = old.get("made_with", {}) | dict.fromkeys(new["agents"], new["versions"])
+    context = old | {"agents": old["agents"] | new["agents"], "made_with": made_with}
+    return kept | {"context": context, "rows": [row for each in rows.values() for row in each]}
