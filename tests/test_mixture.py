@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import tomllib
+import zipfile
+from fnmatch import fnmatchcase
+from itertools import chain
 from pathlib import Path
 
 import pytest
 from command_line import ROOT, questsim
+from mocap_files import write_amass
+from test_formats import MORE as MORE_MOTIONS
 
 from questsim.errors import InputError
 from questsim.motion.mixture import read_mixture
@@ -112,3 +117,31 @@ def test_the_shipped_mixture_is_one() -> None:
     assert (
         list(read_mixture(file)) == ["validation", "train"] == list(tomllib.loads(file.read_text()))
     )
+
+
+def test_a_file_that_cannot_be_read_may_be_excluded_by_name(tmp_path: Path) -> None:
+    folder = tmp_path / "captures"
+    folder.mkdir()
+    write_amass(folder / "standing.npz")
+    (folder / "broken_1.bvh").write_text("HIERARCHY\n")
+    entry = "[[train]]\nmotions = 'captures'\nexclude = ['{}']\n"
+    (tmp_path / "mine.toml").write_text(entry.format("broken_*"))
+    assert [clip.name for clip in load_motions(str(tmp_path / "mine.toml"))] == ["standing"]
+    (tmp_path / "mine.toml").write_text(entry.format("broke_*"))
+    with pytest.raises(InputError, match=r"no clip fits 'broke_\*'"):
+        load_motions(str(tmp_path / "mine.toml"))
+
+
+@pytest.mark.skipif(not MORE_MOTIONS.exists(), reason="needs the shared more-motions.zip")
+@pytest.mark.parametrize("name", ["wide.toml", "others.toml"])
+def test_the_patterns_of_a_shipped_mixture_fit_its_files(name: str) -> None:
+    with zipfile.ZipFile(MORE_MOTIONS) as archive:
+        files = [Path(file) for file in archive.namelist()]
+    fitted = 0
+    for entry in chain(*read_mixture(ROOT / "docs" / "mixtures" / name).values()):
+        folder = Path(entry.motions)
+        stems = [file.stem for file in files if file.is_relative_to(folder)]
+        for pattern in (*entry.include, *entry.exclude) if stems else ():
+            assert any(fnmatchcase(stem, pattern) for stem in stems), (entry.motions, pattern)
+            fitted += 1
+    assert fitted > 2

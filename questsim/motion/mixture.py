@@ -123,8 +123,11 @@ def _choose(
     seed = seed if entry.seed is None else entry.seed
     found = load(entry.motions, seed)
     listed = _listed(entry, path, where)
+    names = {motion.name for motion in found}
     for pattern in (*entry.include, *entry.exclude):
-        if not any(fnmatchcase(motion.name, pattern) for motion in found):
+        # A file that could not be read has no clip, but may well be excluded.
+        known = names if pattern in entry.include else names | _stems(entry.motions)
+        if not any(fnmatchcase(name, pattern) for name in known):
             raise InputError(f"no clip fits {pattern!r}", f"{path}: {where}", _names(found))
     out = [
         motion
@@ -150,6 +153,13 @@ def _choose(
 def _kind(pattern: str, motion: Clip | Motion) -> str:
     stem = re.sub(r"[\W\d_]+$", "", motion.name) or motion.name
     return pattern.format(kind=motion.kind, style=motion.style, name=stem)
+
+
+def _stems(motions: str) -> set[str]:
+    """Names of the files and of the folders' files that a motion argument names."""
+    places = [Path(piece.strip()) for piece in motions.split(",")]
+    files = [file for place in places if place.is_dir() for file in place.rglob("*")]
+    return {file.stem for file in (*places, *files) if file.is_file()}
 
 
 def _names(found: Sequence[Clip | Motion]) -> str:
