@@ -35,7 +35,7 @@ class Randomisation:
         recentre_rad: angle by which the user turns in that jump, to either side.
         recentre_s: time of the jump after the start of the episode.
         unscaled_m: stature of the avatar minus that of its user, whose devices and motion are not
-            scaled to the avatar; beside ``EnvConfig.unscaled_m``.
+            scaled to the avatar; added to ``EnvConfig.unscaled_m``.
 
     Raises:
         InputError: an invalid range.

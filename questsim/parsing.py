@@ -17,7 +17,7 @@ from questsim.errors import InputError, finite
 T = TypeVar("T")
 
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
-_DEFAULT = re.compile(r" ?\(default: (None|False)?\)")
+_DEFAULT = re.compile(r"\s*\(default:\s*(?:None|False|'')?\)")
 """Default of options that are None, False or empty."""
 _RULE = re.compile(r"[╭╰].*|[─-]{3,}")
 """The edges of a box, and the lines between its parts."""
@@ -83,7 +83,8 @@ def _check_finite(args: Any, prefix: str = "--") -> None:
 def _plain(page: str) -> str:
     """A page of help without tyro's marks for options that may be left out."""
     page = re.sub(r"\{None\}\|(.*?)( {2,}|\n)", rf"\1\2{' ' * len('{None}|')}", page)
-    return "".join(_DEFAULT.sub("", line).rstrip() + "\n" for line in page.splitlines())
+    page = _DEFAULT.sub("", page).replace("{None,", "{")
+    return "".join(line.rstrip() + "\n" for line in page.splitlines())
 
 
 def _error(box: str, words: Sequence[str], fix: str) -> InputError:

@@ -49,7 +49,7 @@ def test_a_stage_folder_stands_for_what_it_kept_but_its_begin(tmp_path: Path) ->
     [
         ("one", "there is 1 policy to average"),
         ("other", "is of another training"),
-        ("there", "is there already"),
+        ("there", "exists already"),
         ("unstated", "does not state the steps"),
     ],
 )

@@ -147,6 +147,7 @@ def test_command_explains_its_options(name, tmp_path, monkeypatch):
     attempt = questsim(tmp_path, *name.split(), "--help")
     assert attempt.code == 0, attempt.err
     assert f"questsim {name}" in attempt.out
+    assert "default: None" not in " ".join(attempt.out.split()) and "{None" not in attempt.out
 
 
 def test_the_module_is_a_command_too():

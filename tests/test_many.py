@@ -99,7 +99,7 @@ def test_an_amc_without_its_skeleton_is_skipped(mixed, capsys):
         "#!OML:ASF H:\n:FULLY-SPECIFIED\n:DEGREES\n1\nroot 0 0 0 0 0 0\n"
     )
     assert [clip.name for clip in load_motions(str(mixed))] == ["a", "z"]
-    assert "01_01.amc: its skeleton is not here" in capsys.readouterr().err
+    assert "01_01.amc: its skeleton is missing" in capsys.readouterr().err
 
 
 def test_a_damaged_library_among_libraries_is_skipped(mixed, tmp_path, capsys):

@@ -210,7 +210,9 @@ def test_values_that_are_not_what_they_seem_are_refused_or_warned_of(
 
 def test_a_known_skeleton_in_poses_that_no_one_takes_is_refused(tmp_path):
     path = write_bvh(tmp_path / "a.bvh", LAFAN1_JOINTS, standing(30, 93.6))  # all angles zero
-    with pytest.raises(InputError, match=r"the .* is \d+ cm off on average: no one moves so"):
+    with pytest.raises(
+        InputError, match=r"the .* is \d+ cm off on average: no person moves like this"
+    ):
         read_and_retarget(path, ReadOptions())
 
 

@@ -67,7 +67,7 @@ def average(folders: list[Path], out: Path) -> list[int]:
         fix = "name two checkpoints or more, or a stage folder that kept some"
         raise InputError(f"{found} to average", "questsim average", fix)
     if out.exists():
-        raise InputError("is there already", out, "give another --out")
+        raise InputError("exists already", out, "give another --out")
     policies = [(folder, load_policy(folder)) for folder in folders]
     policies.sort(key=lambda policy: _steps_of(*policy))
     first, agents = policies[0][0], [agent for _, agent in policies]

@@ -77,7 +77,7 @@ def skeleton_of(amc: Path) -> Path:
     if found:
         names = ", ".join(p.name for p in found[:4])
         raise InputError(f"which of {names} is its skeleton?", amc, f"name one {amc.stem}.asf")
-    raise InputError("its skeleton is not here", amc, "put the subject's .asf file next to it")
+    raise InputError("its skeleton is missing", amc, "put the subject's .asf file next to it")
 
 
 def _names_subject(skeleton: str, motion: str) -> bool:

@@ -48,7 +48,7 @@ def axes_matrix(axes: str, where: str = "") -> np.ndarray:
     """Columns: forward, left and up of an axes string such as ``"z -y x"``, ``(3, 3)``."""
     matrix, right_handed = _axes(axes)
     if not right_handed:
-        raise InputError(f"axes {axes!r} are left-handed", where or None, "turn one axis round")
+        raise InputError(f"axes {axes!r} are left-handed", where or None, "reverse one axis")
     return matrix.copy()
 
 

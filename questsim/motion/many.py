@@ -128,8 +128,8 @@ def check_fit(motion: Motion, clip: Clip, path: Path) -> None:
     joint = max(error, key=lambda name: error[name])
     if error[joint] > MAX_ERROR_CM:
         raise InputError(
-            f"retargeted, the {joint} is {error[joint]:.0f} cm off on average: the skeleton is "
-            "not what it was recognised as",
+            f"after retargeting, the {joint} is {error[joint]:.0f} cm off on average: "
+            "the skeleton is not what it was recognised as",
             path,
             "see import --explain, and name the joints in a mapping file",
         )
@@ -156,7 +156,8 @@ def check_roughly(motion: Motion, clip: Clip, path: Path) -> None:
     joint = max(error, key=lambda name: error[name])
     if error[joint] > MAX_KNOWN_CM:
         raise InputError(
-            f"retargeted, the {joint} is {error[joint]:.0f} cm off on average: no one moves so",
+            f"after retargeting, the {joint} is {error[joint]:.0f} cm off on average: "
+            "no person moves like this",
             path,
             "check how it was exported: degrees, order of the rotations, up axis",
         )

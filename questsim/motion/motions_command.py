@@ -186,7 +186,9 @@ def list_motions(args: ListMotionsArgs) -> None:
     """Prints the kinds, and on request the clips, that a motion argument contains."""
     if not args.spec:
         if args.clips:
-            raise InputError("--clips of no motions", fix="name them: questsim motions list WHAT")
+            raise InputError(
+                "needs motions", "--clips", "name them: questsim motions list WHAT --clips"
+            )
         _list_all()
         return
     clips = load_motions(args.spec)

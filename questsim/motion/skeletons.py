@@ -74,7 +74,7 @@ def find_skeleton(recording: Recording, declared: Family | None = None) -> Skele
         recording, joints, reasons, name = roles.recording, roles.joints, roles.reasons, RECOGNISED
     rest, why = find_rest(recording, joints)
     if rest is None:
-        raise InputError(f"the axes of the joints do not show: {why}", recording.path, MAPPING)
+        raise InputError(f"the axes of the joints cannot be found: {why}", recording.path, MAPPING)
     found = replace(
         family or Family(name, joints, up=None, units=None),
         rest=rest.axes,
