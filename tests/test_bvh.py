@@ -23,7 +23,7 @@ from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.motion.bvh import read_bvh
 from questsim.motion.convert import global_pose, world_axes
-from questsim.motion.families import FAMILIES, OPTIONAL, Family, known, load_mapping
+from questsim.motion.families import FAMILIES, OPTIONAL, Family, family_of, load_mapping
 from questsim.motion.reading import ReadOptions, read_motion
 from questsim.skeleton import JOINTS
 
@@ -65,7 +65,7 @@ def bandai(tmp_path_factory) -> Path:
 
 
 def recognise(names, path) -> Family:
-    family = known(names)
+    family = family_of(names)
     assert family, path
     return family
 

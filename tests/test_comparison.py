@@ -24,7 +24,7 @@ from agents.comparison.drawn import (
 from agents.comparison.plots import KINDS, kind_of
 from agents.comparison.record import Record
 from agents.comparison.report import Costs, Row, row_of, table
-from agents.comparison.summary import CURVE_BINS, Summary, summed
+from agents.comparison.summary import CURVE_BINS, Summary, sums_of
 from agents.evaluation import EvaluateArgs, evaluate
 from agents.kinematic import load_system
 from agents.kinematic.causal import causal_clip
@@ -192,7 +192,7 @@ def test_a_stopped_comparison_goes_on_and_another_one_is_refused(tmp_path, monke
 def test_sums_of_clips_give_the_mean_deviation_and_interval_of_all_samples():
     rng = np.random.default_rng(0)
     parts = [rng.normal(3.0, 1.0, n) + i for i, n in enumerate((5, 40, *[20] * 10))]
-    row = row_of("a", "6", [summed({"pos_cm": part}, 60.0) for part in parts], Costs())
+    row = row_of("a", "6", [sums_of({"pos_cm": part}, 60.0) for part in parts], Costs())
     whole = np.concatenate(parts)
     assert row.pooled["pos_cm"] == pytest.approx(whole.mean())
     assert row.equal["pos_cm"] == pytest.approx(np.mean([part.mean() for part in parts]))
@@ -331,7 +331,7 @@ def test_a_figure_with_nothing_to_average_is_a_dash(tmp_path):
 
 def test_the_main_tables_have_intervals_where_there_are_more_than_ten_clips():
     rng = np.random.default_rng(1)
-    clips = [summed({"pos_cm": rng.normal(5.0, 1.0, 40)}, 60.0) for _ in range(11)]
+    clips = [sums_of({"pos_cm": rng.normal(5.0, 1.0, 40)}, 60.0) for _ in range(11)]
     row, few = row_of("a", "6", clips, Costs()), row_of("b", "6", clips[:10], Costs())
     lines = table([row, few], ["pos_cm"], ends=True).splitlines()
     low, high = row.low["pos_cm"], row.high["pos_cm"]
@@ -428,7 +428,7 @@ def test_sequences_solved_together_have_the_poses_of_their_streams(tmp_path):
 
 
 def test_other_weights_or_more_agents_keep_the_results_of_the_others(tmp_path):
-    agents, row = {"a": "1", "b": "1"}, summed({"pos_cm": np.ones(3)}, 60.0)
+    agents, row = {"a": "1", "b": "1"}, sums_of({"pos_cm": np.ones(3)}, 60.0)
     with Record(tmp_path, {"seed": 0}, agents) as record:
         record.add("a: 6", "clip", row)
         record.add("b: 6", "clip", row)

@@ -66,7 +66,7 @@ def body_of(poses: Poses, motion: Motion) -> np.ndarray:
     return offsets * (round(tall / STATURE_STEP_M) * STATURE_STEP_M / tall)
 
 
-def follow_poses(shown: Sequence[Shown], start: Start, threads: int = 1) -> list[Rollout]:
+def follow_shown(shown: Sequence[Shown], start: Start, threads: int = 1) -> list[Rollout]:
     """Let the avatar follow estimates from one kind of start.
 
     Args:

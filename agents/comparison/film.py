@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from agents.comparison.behind import follow_poses, shown_of
+from agents.comparison.behind import follow_shown, shown_of
 from agents.comparison.conditions import Start, starts_of
 from agents.comparison.plots import KINDS
 from agents.comparison.run import suiting
@@ -40,7 +40,7 @@ from questsim.sensors import SENSOR_SETS
 from questsim.viewing.camera import Camera, following_cameras, three_quarter_azimuth
 from questsim.viewing.captions import Label, caption, labelled
 from questsim.viewing.costume import AVATAR, REFERENCE, Look
-from questsim.viewing.films import named, one_of_each_kind, title
+from questsim.viewing.films import chosen_by_name, one_of_each_kind, title
 from questsim.viewing.gl import NoGLError, find_gl, missing_gl
 from questsim.viewing.outline import outline_points
 from questsim.viewing.render import DrawnAvatar, SceneRenderer
@@ -157,7 +157,7 @@ def to_be_filmed(motions: Sequence[Motion], names: Sequence[str]) -> list[Motion
         InputError: no clip has one of the names.
     """
     if names:
-        found = named(motions, names, "--video-clips")
+        found = chosen_by_name(motions, names, "--video-clips")
     else:
         found = one_of_each_kind(motions, CLIPS)
     return [motion.resampled(SENSOR_FPS) for motion in found]
@@ -198,7 +198,7 @@ def figures_of(
     devices, pairs = _in_words(scenario.devices), list(zip(poses, motions, strict=True))
     if base_of(agent) is None:
         return [FilmFigure(agent, devices, kinematic, over_users_floor(p, m)) for p, m in pairs]
-    rollouts = follow_poses([shown_of(p, m) for p, m in pairs], start, threads)
+    rollouts = follow_shown([shown_of(p, m) for p, m in pairs], start, threads)
     return [FilmFigure(agent, devices, physics, until_lost(rollout)) for rollout in rollouts]
 
 

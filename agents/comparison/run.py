@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agents.comparison.behind import Shown, follow_poses, shown_of
+from agents.comparison.behind import Shown, follow_shown, shown_of
 from agents.comparison.conditions import Start, row_name, starts_of, with_noise
 from agents.comparison.record import Record
 from agents.comparison.report import RECORDING
-from agents.comparison.summary import Summary, summed
+from agents.comparison.summary import Summary, sums_of
 from agents.evaluation.mapping import Mapper
 from agents.evaluation.rollout import env_config, roll_out
 from agents.kinematic.device_faults import Noise
@@ -225,7 +225,7 @@ def _score(jobs: list[Job]) -> list[tuple[Poses | None, Summary]]:
 
 
 def _scored(poses: Poses, job: Job) -> Summary:
-    return summed(_samples(poses, job.motion, job.scenario.ends), SENSOR_FPS)
+    return sums_of(_samples(poses, job.motion, job.scenario.ends), SENSOR_FPS)
 
 
 def _scored_itself(job: Job) -> Summary:
@@ -233,7 +233,7 @@ def _scored_itself(job: Job) -> Summary:
     motion = job.motion
     offsets = np.broadcast_to(motion.offsets, (len(motion), *motion.offsets.shape))
     poses = Poses(motion.root_position, motion.rotations, offsets)
-    return summed(_samples(poses, motion), SENSOR_FPS)
+    return sums_of(_samples(poses, motion), SENSOR_FPS)
 
 
 def _samples(poses: Poses, motion: Motion, ends: Sequence[int] = ENDS) -> dict[str, np.ndarray]:
@@ -262,16 +262,16 @@ def _behind(
     truths = list(mapper(to_clip, motions))
     ends, rows = plan.scenario.ends, iter(plan.rows)
     without = [
-        summed(avatar_samples(each.clip, truth, ends), FPS)
+        sums_of(avatar_samples(each.clip, truth, ends), FPS)
         for each, truth in zip(shown, truths, strict=True)
     ]
     yield next(rows), without
     for row, start in zip(rows, plan.starts, strict=True):
-        pairs = zip(follow_poses(shown, start, threads), truths, strict=True)
+        pairs = zip(follow_shown(shown, start, threads), truths, strict=True)
         scored = [
             rollout_samples(replace(rollout, reference=truth), ends) for rollout, truth in pairs
         ]
-        yield row, [summed(samples, FPS) for samples in scored]
+        yield row, [sums_of(samples, FPS) for samples in scored]
 
 
 def _shown(pair: tuple[Poses, Motion]) -> Shown:
@@ -288,4 +288,4 @@ def _policy(plan: Plan, jobs: Sequence[Job], threads: int, mapper: Mapper) -> Sc
         config = replace(config, starts=starts_of(start))
         begin_at = first_answers(clips) if start == "estimate" else None
         rollouts = roll_out(policy, clips, config, threads, begin_at=begin_at)
-        yield row, [summed(rollout_samples(r, plan.scenario.ends), FPS) for r in rollouts]
+        yield row, [sums_of(rollout_samples(r, plan.scenario.ends), FPS) for r in rollouts]

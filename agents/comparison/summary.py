@@ -50,7 +50,7 @@ class Summary:
         return asdict(self)
 
 
-def summed(samples: Mapping[str, np.ndarray], fps: float) -> Summary:
+def sums_of(samples: Mapping[str, np.ndarray], fps: float) -> Summary:
     """The sums of a clip's samples, as ``pose_metrics.pose_samples`` gives them.
 
     Args:

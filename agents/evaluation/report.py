@@ -101,9 +101,9 @@ def clips_in_video(args: EvaluateArgs, clips: list[T]) -> list[T]:
     """
     if not args.video_clips:
         return clips
-    from questsim.viewing.films import named
+    from questsim.viewing.films import chosen_by_name
 
-    return named(clips, args.video_clips, "--video-clips")
+    return chosen_by_name(clips, args.video_clips, "--video-clips")
 
 
 def _film(rollouts: list[Rollout], path: Path, terrain: Any, count: int) -> None:

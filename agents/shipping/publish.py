@@ -12,7 +12,7 @@ from agents.hub import FILES, hub, plain_errors, split_name
 from agents.licence import UNKNOWN, licence_of
 from agents.resolve import Resolved, resolve
 from agents.shipping.options import PublishArgs
-from agents.shipping.ship import MODEL_CARD, ShipArgs, pack
+from agents.shipping.ship import MODEL_CARD, ShipArgs, ship_folder
 from questsim.errors import InputError
 
 HUB_LICENCES = {"MIT": "mit", "CC-BY-NC-4.0": "cc-by-nc-4.0"}
@@ -63,7 +63,9 @@ def _packed(args: PublishArgs, found: Resolved, repo: str, place: Path) -> tuple
         shutil.copytree(found.folder, folder)
         return folder, licence
     name = re.sub(r"[^a-z0-9]+", "-", repo.rpartition("/")[2].lower()).strip("-")
-    _, licence = pack(ShipArgs(run=found.folder, name=name, metrics=args.metrics, into=place))
+    _, licence = ship_folder(
+        ShipArgs(run=found.folder, name=name, metrics=args.metrics, into=place)
+    )
     return place / name, licence
 
 

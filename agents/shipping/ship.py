@@ -38,14 +38,14 @@ def ship(args: ShipArgs) -> int:
     """Copy weights and card, replacing older ones of that name; returns the exit code.
 
     Raises:
-        InputError: see ``pack``.
+        InputError: see ``ship_folder``.
     """
-    size, licence = pack(args)
+    size, licence = ship_folder(args)
     print(f"written to {args.into / args.name}: {size / 1e6:.1f} MB, {licence}")
     return 0
 
 
-def pack(args: ShipArgs) -> tuple[int, str]:
+def ship_folder(args: ShipArgs) -> tuple[int, str]:
     """Write the folder ``args.into / args.name``; size of the weights in bytes, and licence.
 
     Raises:

@@ -192,7 +192,7 @@ def fetch(name: str, mirror: str | None = None) -> Path:
         InputError: there is no such dataset, the archive cannot be downloaded or read, or a clip
             is missing from it or differs from the manifest.
     """
-    dataset = known(name)
+    dataset = dataset_named(name)
     folder = dataset_folder(name)
     print(f"{dataset.title}: licence {dataset.licence}. {dataset.credit}")
     wanted = {f: d for f, d in manifest(name).items() if file_digest(folder / f) != d}
@@ -212,7 +212,7 @@ def fetch(name: str, mirror: str | None = None) -> Path:
     return folder
 
 
-def known(name: str) -> Dataset:
+def dataset_named(name: str) -> Dataset:
     """The dataset of that name; InputError where there is none."""
     if name not in DATASETS:
         raise InputError(f"no dataset {name!r}", fix=f"known are {', '.join(DATASETS)}")

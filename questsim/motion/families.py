@@ -248,7 +248,7 @@ def add_families(families: Sequence[Family]) -> None:
         register_family(family)
 
 
-def known(names: Sequence[str]) -> Family | None:
+def family_of(names: Sequence[str]) -> Family | None:
     """The first family all of whose joints are among the file's ``names``."""
     return next((f for f in FAMILIES if set(f.joints.values()) <= set(names)), None)
 

@@ -15,11 +15,12 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
+from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.motion.convert import global_pose
 from questsim.motion.joint_names import ARM, HEAD, HIPS, LEG, NECK, Name, fit, understand
 from questsim.motion.recording import Recording
-from questsim.motion.rest import some_frames, unit
+from questsim.motion.rest import some_frames
 from questsim.motion.unsided import find_limbs
 from questsim.skeleton import JOINTS
 
@@ -186,7 +187,7 @@ def _without_soles(recording: Recording, found: dict[str, int]) -> dict[str, int
         knee, ankle, end = (
             place[:, found[toe.replace("toe", joint)]] for joint in ("knee", "ankle", "toe")
         )
-        cosines.append(np.sum(unit(ankle - knee) * unit(end - ankle), axis=-1))
+        cosines.append(np.sum(rot.unit(ankle - knee) * rot.unit(end - ankle), axis=-1))
     if np.median(cosines) < np.cos(MIN_FOOT_ANGLE):
         return found
     return {ours: joint for ours, joint in found.items() if ours not in soles}

@@ -95,11 +95,6 @@ def _places(pose: Recording, index: Mapping[str, int]) -> dict[str, np.ndarray]:
     return {ours: position[0, j] for ours, j in index.items()}
 
 
-def unit(vector: np.ndarray) -> np.ndarray:
-    """Normalises vectors; zero vectors stay zero."""
-    return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-12)
-
-
 def _both(places: Places, joint: str) -> tuple[np.ndarray, np.ndarray]:
     return places[f"left_{joint}"], places[f"right_{joint}"]
 
@@ -117,12 +112,12 @@ def body_axes(places: Places, *, snap: bool) -> tuple[np.ndarray | None, str]:
     hips, shoulders = _both(places, "hip"), _both(places, "shoulder")
     middle, top = (hips[0] + hips[1]) / 2.0, (shoulders[0] + shoulders[1]) / 2.0
     ankles = sum(_both(places, "ankle")) / 2.0
-    up = unit(unit(top - middle) + unit(middle - ankles))
-    if unit(top - middle) @ unit(middle - ankles) < 0.8:
+    up = rot.unit(rot.unit(top - middle) + rot.unit(middle - ankles))
+    if rot.unit(top - middle) @ rot.unit(middle - ankles) < 0.8:
         return None, "trunk and legs are not in line"
     if (places["head"] - top) @ up <= 0:
         return None, "the head is below the shoulders"
-    lateral = unit(hips[0] - hips[1]), unit(shoulders[0] - shoulders[1])
+    lateral = rot.unit(hips[0] - hips[1]), rot.unit(shoulders[0] - shoulders[1])
     if lateral[0] @ lateral[1] < 0.8:
         return None, "hips and shoulders are twisted"
     axes = _axes(up, lateral[0] + lateral[1], snap)
@@ -130,9 +125,12 @@ def body_axes(places: Places, *, snap: bool) -> tuple[np.ndarray | None, str]:
         chain = {
             j: places[f"{side}_{j}"] for j in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
         }
-        thigh, shin = unit(chain["knee"] - chain["hip"]), unit(chain["ankle"] - chain["knee"])
-        arm = unit(chain["elbow"] - chain["shoulder"])
-        forearm = unit(chain["wrist"] - chain["elbow"])
+        thigh, shin = (
+            rot.unit(chain["knee"] - chain["hip"]),
+            rot.unit(chain["ankle"] - chain["knee"]),
+        )
+        arm = rot.unit(chain["elbow"] - chain["shoulder"])
+        forearm = rot.unit(chain["wrist"] - chain["elbow"])
         if thigh @ shin < 0.8 or -(thigh @ axes[:, 2]) < 0.75:
             return None, f"the {side} leg is not stretched"
         if arm @ forearm < 0.7:
@@ -147,10 +145,10 @@ def _axes(up: np.ndarray, left: np.ndarray, snap: bool) -> np.ndarray:
     """Forward, left and up as columns, from an exact up and an approximate left direction."""
     if snap:
         up = _snapped(up)
-    left = unit(left - (left @ up) * up)
+    left = rot.unit(left - (left @ up) * up)
     if snap:
         left = _snapped(left)
-        left = unit(left - (left @ up) * up)
+        left = rot.unit(left - (left @ up) * up)
     return np.stack([np.cross(left, up), left, up], axis=-1)
 
 
@@ -163,14 +161,14 @@ def _snapped(vector: np.ndarray) -> np.ndarray:
 
 
 def _splayed(places: Places, body: np.ndarray) -> bool:
-    drops = [-unit(places[f"{s}_ankle"] - places[f"{s}_hip"]) @ body[:, 2] for s in SIDES]
+    drops = [-rot.unit(places[f"{s}_ankle"] - places[f"{s}_hip"]) @ body[:, 2] for s in SIDES]
     return bool(np.mean(drops) < SPLAY)
 
 
 def world_up(places: Mapping[str, np.ndarray]) -> np.ndarray:
     """The file's axis ``(3,)`` along which the head is above the feet; positions ``(T, 3)``."""
     body = places["head"] - (places["left_ankle"] + places["right_ankle"]) / 2.0
-    direction = np.median(unit(body), axis=0)
+    direction = np.median(rot.unit(body), axis=0)
     axis = np.zeros(3)
     largest = int(abs(direction).argmax())
     axis[largest] = np.sign(direction[largest])
@@ -187,7 +185,7 @@ class _Moving:
 
     def bone(self, near: str, far: str) -> np.ndarray:
         """Directions ``(T, 3)`` in the world."""
-        return unit(self.places[far] - self.places[near])
+        return rot.unit(self.places[far] - self.places[near])
 
     def own(self, joint: str, world: np.ndarray, frames: np.ndarray | None = None) -> np.ndarray:
         """The mean in the joint's frame ``(3,)`` of world vectors ``(T, 3)``."""
@@ -211,13 +209,15 @@ def _from_motion(recording: Recording, index: Mapping[str, int]) -> Rest | None:
     axes: dict[str, np.ndarray] = {}
     # Who leans all the time must not be taken for upright: hips to shoulders are the trunk's up.
     middle = [(moving.places[f"left_{j}"] + moving.places[f"right_{j}"]) / 2 for j in TRUNK_ENDS]
-    along = unit(middle[1] - middle[0])
+    along = rot.unit(middle[1] - middle[0])
     for joint in ("root", "spine1", "spine2", "spine3", "neck", "head"):
         if joint in index:
             left = left_world if joint in ("root", "spine1") else shoulders
             axes[joint] = _axes(
-                unit(moving.own(joint, up_world if joint in ("neck", "head") else along, stands)),
-                moving.own(joint, unit(left), stands),
+                rot.unit(
+                    moving.own(joint, up_world if joint in ("neck", "head") else along, stands)
+                ),
+                moving.own(joint, rot.unit(left), stands),
                 snap=False,
             )
     for side in SIDES:
@@ -227,21 +227,21 @@ def _from_motion(recording: Recording, index: Mapping[str, int]) -> Rest | None:
         for i, joint in enumerate(("hip", "knee")):
             name = f"{side}_{joint}"
             bone = moving.own(name, moving.bone(name, f"{side}_{('knee', 'ankle')[i]}"))
-            hinge = legs[i] if legs else moving.own(name, unit(left_world), stands)
-            axes[name] = _axes(-unit(bone), hinge, snap=False)
+            hinge = legs[i] if legs else moving.own(name, rot.unit(left_world), stands)
+            axes[name] = _axes(-rot.unit(bone), hinge, snap=False)
         for i, joint in enumerate(("shoulder", "elbow")):
             name = f"{side}_{joint}"
             bone = moving.own(name, moving.bone(name, f"{side}_{('elbow', 'wrist')[i]}"))
             # The left elbow bends about -z of the T-pose, the right one about +z.
             hinge = -sign * arms[i] if arms else moving.own(name, up_world, stands)
-            axes[name] = _lateral(sign * unit(bone), hinge)
+            axes[name] = _lateral(sign * rot.unit(bone), hinge)
         _ends(moving, index, side, up_world, axes)
     return Rest(axes, "how the performer moves")
 
 
 def _lateral(left: np.ndarray, up: np.ndarray) -> np.ndarray:
     """Forward, left and up as columns, from an exact left and an approximate up direction."""
-    up = unit(up - (up @ left) * left)
+    up = rot.unit(up - (up @ left) * left)
     return np.stack([np.cross(left, up), left, up], axis=-1)
 
 
@@ -256,7 +256,7 @@ def _hinge(
     axes = moving.own(near, cross), moving.own(middle, cross)
     if min(np.linalg.norm(axis) for axis in axes) < 0.3 * np.linalg.norm(cross, axis=-1).mean():
         return None
-    return unit(axes[0]), unit(axes[1])
+    return rot.unit(axes[0]), rot.unit(axes[1])
 
 
 def _ends(
@@ -302,10 +302,10 @@ def _foot(moving: _Moving, side: str, up_world: np.ndarray, axes: dict[str, np.n
     speed = np.linalg.norm(np.gradient(place, axis=0), axis=-1) if len(place) > 1 else height * 0
     low = height <= np.percentile(height, 40)
     rests = low & (speed <= np.percentile(speed[low], 60))
-    up = unit(moving.own(name, up_world, rests))
+    up = rot.unit(moving.own(name, up_world, rests))
     if f"{side}_toe" in moving.places:
         ahead = moving.own(name, moving.bone(name, f"{side}_toe"))
     else:
         ahead = moving.own(name, (moving.turns[knee] @ axes[knee])[..., 0], rests)
-    forward = unit(ahead - (ahead @ up) * up)
+    forward = rot.unit(ahead - (ahead @ up) * up)
     axes[name] = np.stack([forward, np.cross(up, forward), up], axis=-1)

@@ -10,10 +10,10 @@ import numpy as np
 from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.motion.convert import axes_matrix, bones, global_pose
-from questsim.motion.families import Family, known
+from questsim.motion.families import Family, family_of
 from questsim.motion.recognise import END, MAPPING, find_roles, with_ends
 from questsim.motion.recording import Recording
-from questsim.motion.rest import body_axes, find_rest, some_frames, unit
+from questsim.motion.rest import body_axes, find_rest, some_frames
 from questsim.skeleton import JOINTS
 
 RECOGNISED = "recognised"
@@ -55,7 +55,7 @@ def find_skeleton(recording: Recording, declared: Family | None = None) -> Skele
     Raises:
         InputError: no human skeleton is recognised; the message says what is missing.
     """
-    family = declared or known(recording.names)
+    family = declared or family_of(recording.names)
     contradiction = ""
     if family and declared is None:
         contradiction = _contradiction(recording, family)
@@ -112,7 +112,7 @@ def _contradiction(recording: Recording, family: Family) -> str:
     )
 
     def seen(upper: str, bone: np.ndarray) -> np.ndarray:
-        return unit(axes_matrix(family.axes_of(upper)).T @ bone)
+        return rot.unit(axes_matrix(family.axes_of(upper)).T @ bone)
 
     def along(upper: str, lower: str, direction: tuple[float, float, float]) -> bool:
         return float(seen(upper, found[JOINTS.index(lower)]) @ np.array(direction)) > AGREE
@@ -121,7 +121,7 @@ def _contradiction(recording: Recording, family: Family) -> str:
     if seen("root", hips[0] - hips[1])[1] < np.cos(MAX_TURN):
         return f"the hips do not lie as {family.name} files have them"
     thighs = [seen(f"{s}_hip", found[JOINTS.index(f"{s}_knee")]) for s in ("left", "right")]
-    if abs(unit(thighs[0] + thighs[1])[0]) > np.sin(MAX_TURN):
+    if abs(rot.unit(thighs[0] + thighs[1])[0]) > np.sin(MAX_TURN):
         return f"the legs do not hang as {family.name} files have them"
     for side in ("left", "right"):
         if not (
@@ -180,7 +180,7 @@ def _at_rest(recording: Recording, place: np.ndarray, index: dict[str, int]) -> 
     if axes is None:
         return False
     arms = [place[index[f"{s}_elbow"]] - place[index[f"{s}_shoulder"]] for s in ("left", "right")]
-    return bool(min(abs(unit(arm) @ axes[:, 1]) for arm in arms) > AGREE)
+    return bool(min(abs(rot.unit(arm) @ axes[:, 1]) for arm in arms) > AGREE)
 
 
 def write_mapping(recording: Recording, path: Path) -> str:
@@ -201,7 +201,7 @@ def write_mapping(recording: Recording, path: Path) -> str:
         skeleton = find_skeleton(recording)
         joints, todo = dict(skeleton.family.joints), "check it, and import with --mapping"
     except InputError as error:
-        family = known(recording.names)
+        family = family_of(recording.names)
         joints = dict(family.joints) if family else {}
         todo = f"{error.what}: fill in what is missing"
     lines += ["", "[joints]"]

@@ -19,10 +19,11 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
+from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.motion.convert import global_pose
 from questsim.motion.recording import Recording
-from questsim.motion.rest import some_frames, unit, world_up
+from questsim.motion.rest import some_frames, world_up
 
 MAX_DIFFERENCE = 0.08
 """Bones of a left and a right limb differ by at most this share of the limb's length."""
@@ -104,7 +105,7 @@ def find_limbs(recording: Recording, fix: str, sides: Sequence[str] = ()) -> Lim
     fps = recording.fps * len(few.positions) / len(recording.positions)
     front = _front(position, legs, pairs[1].above, fps, length)
     vote = _vote(front)
-    across = [unit(position[:, a[1]] - position[:, b[1]]) for a, b in (legs, arms)]
+    across = [rot.unit(position[:, a[1]] - position[:, b[1]]) for a, b in (legs, arms)]
     same = float(np.sum(across[0] * across[1], axis=-1).mean())
     if vote == 0.0 or abs(same) < CERTAIN:
         said = ", ".join(f"{s} {c:+.2f}" for s, c in zip(SIGNS, front, strict=True))
@@ -206,8 +207,8 @@ def _unsplit(
     """
 
     def bend(before: int, joint: int, after: int) -> float:
-        upper = unit(position[:, joint] - position[:, before])
-        lower = unit(position[:, after] - position[:, joint])
+        upper = rot.unit(position[:, joint] - position[:, before])
+        lower = rot.unit(position[:, after] - position[:, joint])
         cosine = np.clip(np.sum(upper * lower, axis=-1), -1.0, 1.0)
         return float(np.percentile(np.arccos(cosine), 95))
 
@@ -256,17 +257,17 @@ def _front(
     up = world_up(
         {"head": position[:, chest], "left_ankle": ankles[:, 0], "right_ankle": ankles[:, 1]}
     )
-    front = unit(np.cross(hips[:, 0] - hips[:, 1], up))
+    front = rot.unit(np.cross(hips[:, 0] - hips[:, 1], up))
 
     def along(direction: np.ndarray) -> float:
         level = direction - (direction @ up)[..., None] * up
-        return float(np.mean(np.sum(unit(level) * front, axis=-1)))
+        return float(np.mean(np.sum(rot.unit(level) * front, axis=-1)))
 
     feet = knee = travel = 0.0
     if all(_has_foot(leg, length) for leg in legs):
         toes = np.stack([position[:, leg[4]] for leg in legs], 1)
         feet = along((toes - ankles).sum(axis=1))
-    bend = (unit(knees - hips) - unit(ankles - knees)).sum(axis=1)
+    bend = (rot.unit(knees - hips) - rot.unit(ankles - knees)).sum(axis=1)
     if np.linalg.norm(bend, axis=-1).mean() > MIN_BEND:
         knee = along(bend)
     if len(position) > 2:
@@ -276,7 +277,7 @@ def _front(
         leg = length[legs[0][2]] + length[legs[0][3]]
         moves = np.linalg.norm(level, axis=-1) > MIN_TRAVEL * leg
         if moves.sum() > MIN_MOVING:
-            travel = float(np.mean(np.sum(unit(level) * front, axis=-1)[moves]))
+            travel = float(np.mean(np.sum(rot.unit(level) * front, axis=-1)[moves]))
     return [feet, knee, travel]
 
 

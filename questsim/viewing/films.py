@@ -276,7 +276,7 @@ def one_of_each_kind(rollouts: Sequence[T], count: int) -> list[T]:
     return turns[:count]
 
 
-def named(choices: Sequence[T], names: Sequence[str], option: str) -> list[T]:
+def chosen_by_name(choices: Sequence[T], names: Sequence[str], option: str) -> list[T]:
     """Rollouts or motions by their names, in the order of the names.
 
     Raises:
