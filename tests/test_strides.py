@@ -16,6 +16,7 @@ from questsim.exporting.bvh_file import write_joint_bvh
 from questsim.motion.motion import Motion
 from questsim.motion.reading import read_motion
 from questsim.motion.retarget import retargeting_error, to_clip
+from questsim.motion.spec import load_recordings
 from questsim.motion.strides import FEET
 from questsim.motion.twist import ARBITRARY
 from questsim.skeleton import JOINT_PARENTS, JOINTS
@@ -109,3 +110,36 @@ def test_limbs_of_arbitrary_twist_bend_as_their_joints_lie(tmp_path):
         row = JOINTS.index(joint)
         assert np.degrees(rot.angle_between(found[:, row], quat[:, row])).mean() < 12, joint
     assert max(retargeting_error(motion, to_clip(motion)).values()) < 15
+
+
+def declared(path: Path, motion: Motion, order: str) -> Path:
+    """A BVH of the motion, written in the order ZYX, that declares another order."""
+    write_joint_bvh(path, motion)
+    text, turns = path.read_text(), " ".join(f"{letter}rotation" for letter in order)
+    path.write_text(text.replace("Zrotation Yrotation Xrotation", turns))
+    return path
+
+
+@pytest.mark.parametrize("order", ["XYZ", "XZY", "YXZ", "YZX", "ZXY"])
+def test_a_wrong_order_shows_in_the_feet_of_someone_who_squats_in_place(tmp_path, order):
+    (squat,) = load_recordings("synthetic:squat")[:1]
+    read_motion(declared(tmp_path / "a.bvh", squat, "ZYX"))
+    with pytest.raises(InputError) as refused:
+        read_motion(declared(tmp_path / "a.bvh", squat, order))
+    assert "rise and sink" in str(refused.value) and "order ZYX they would" in str(refused.value)
+    assert "correct the CHANNELS lines" in str(refused.value)
+
+
+def test_a_wrong_order_shows_in_shoulders_whose_angles_jump(tmp_path):
+    # The arms go up in front, past the pole of the order ZYX, where Z and X jump by half a turn.
+    (stand,) = load_recordings("synthetic:stand")[:1]
+    rotations = np.repeat(stand.rotations[:1], len(stand), axis=0)
+    turn = np.zeros((len(stand), 3))
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        turn[:, 0], turn[:, 2] = 0.2, -sign * np.linspace(1.0, 2.4, len(stand))
+        rotations[:, JOINTS.index(f"{side}_shoulder")] = rot.as_quat(rot.from_rotvec(turn))
+    root = np.repeat(stand.root_position[:1], len(stand), axis=0)
+    reach = replace(stand, rotations=rotations, root_position=root)
+    read_motion(declared(tmp_path / "a.bvh", reach, "ZYX"))
+    with pytest.raises(InputError, match=r"shoulders jerk.* order \w+ they would by only"):
+        read_motion(declared(tmp_path / "a.bvh", reach, "XYZ"))

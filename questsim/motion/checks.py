@@ -72,6 +72,8 @@ measured, those of Bandai-Namco, DeepMimic and intact ones of CMU stay below 16.
 
 
 UNKNOWN_UNITS = "unknown"
+WRONG_ANGLES = "the rotations are not as the file declares them"
+"""How a problem ends that ``orders.order_problem`` finds."""
 
 
 @dataclass(frozen=True)
@@ -148,6 +150,8 @@ def refuse(report: Report, where: str) -> None:
     """Raises an InputError that lists all failed checks."""
     if report.problems:
         fix = "declare --units, --up or --fps, or --accept the file as it is"
+        if report.problems[0].endswith(WRONG_ANGLES):
+            fix = "correct the CHANNELS lines or the angles, or --accept the file as it is"
         raise InputError("; ".join(report.problems), where, fix)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -32,12 +33,12 @@ from questsim.motion.convert import axis_vector, global_pose, recording_to_motio
 from questsim.motion.deepmimic import read_deepmimic
 from questsim.motion.families import SMPL, UNITS, UP_AXES, Family, load_mapping
 from questsim.motion.motion import Motion
+from questsim.motion.orders import order_problem
 from questsim.motion.recognise import MAPPING
 from questsim.motion.recording import MAX_FPS, MIN_FPS, Recording
 from questsim.motion.rest import some_frames, zero_pose
 from questsim.motion.skeletons import find_skeleton, without_rest_frame
 from questsim.motion.sources import TEXT_SUFFIXES
-from questsim.motion.strides import order_problem
 from questsim.skeleton import JOINTS
 
 USUAL_STATURE_M = 1.7
@@ -192,7 +193,7 @@ def _on_own_skeleton(
         report = check(motion, units, f"{family.up} (as {family.name} files)")
         if not report.problems:
             report = replace(report, **said | {"notes": (*recording.notes, *notes)})
-            return motion, _with_order(report, recording, family, motion, family.up or "y")
+            return motion, _with_order(report, recording, family, metres, (family.up or "y",))
     up, up_note = _up_axis(recording, family, options)
     if up_note == DETECTED:
         has_rest_frame = len(recording.positions) < len(whole.positions)
@@ -204,7 +205,11 @@ def _on_own_skeleton(
     # Feet far from the floor are put onto it, and are no reason to skip the anatomy.
     if family.rest and all(p.startswith(FEET_OFF_FLOOR) for p in report.problems):
         report = replace(report, problems=(*report.problems, *anatomy_problems(motion)))
-    return motion, _with_order(report, recording, family, motion, up)
+    ups = [up]
+    if up_note == DETECTED:  # with wrong angles perhaps wrongly
+        rest = _standing_up(zero_pose(recording), family)
+        ups += [axis for axis in (rest, family.up or "y") if axis]
+    return motion, _with_order(report, recording, family, metres, ups)
 
 
 def _motion(
@@ -222,13 +227,11 @@ def _motion(
 
 
 def _with_order(
-    report: Report, recording: Recording, family: Family, motion: Motion, up: str
+    report: Report, recording: Recording, family: Family, metres: float, ups: Sequence[str]
 ) -> Report:
-    """The report with a wrong order of the rotation channels among its problems."""
-    if any(not p.startswith(FEET_OFF_FLOOR) for p in report.problems):
-        return report
-    problem = order_problem(recording, family, motion, up)
-    return replace(report, problems=(*report.problems, problem)) if problem else report
+    """The report with wrong angles as its first problem: others may follow from them."""
+    problem = order_problem(recording, family, ups, metres)
+    return replace(report, problems=(problem, *report.problems)) if problem else report
 
 
 def _units(
