@@ -19,9 +19,11 @@ from agents.follower.follower import Follower
 from agents.follower.scene import Scene
 from agents.headset.options import LiveArgs, RecordArgs
 from agents.headset.session import LiveSession
+from envs.assist import checked_bound
 from envs.objects import objects_named
 from envs.terrain import terrain_named
 from questsim.avatar_pose import AvatarPose
+from questsim.body import MAX_HEIGHT_M, MIN_HEIGHT_M
 from questsim.devices import DeviceFrame
 from questsim.errors import InputError, at_least
 from questsim.exporting.formats import needs
@@ -31,6 +33,7 @@ from questsim.viewing.page_server import LOOPBACK, check_address, is_loopback
 
 ASSIST_N = 300.0
 """Default bound of the assist of agents with physics."""
+MAX_PORT = 65535
 
 
 def record(args: RecordArgs) -> None:
@@ -80,7 +83,18 @@ def live(args: LiveArgs, out: Path | None = None) -> None:
 
 
 def _check(args: LiveArgs) -> None:
+    """Refuse options that cannot be used, before an agent is loaded or anything is served."""
+    from agents.headset.tls import server_context
+
     at_least(0, assist=args.assist)
+    checked_bound(args.assist or 0.0)
+    if args.height is not None and not MIN_HEIGHT_M <= args.height <= MAX_HEIGHT_M:
+        limits = f"{MIN_HEIGHT_M} to {MAX_HEIGHT_M} m"
+        raise InputError(f"is {args.height:g} m, not within {limits}", "--height")
+    if args.vmc_in is not None and not 0 <= args.vmc_in <= MAX_PORT:
+        raise InputError(f"{args.vmc_in} is not 0 to {MAX_PORT}", "--vmc-in")
+    if args.cert is not None or args.key is not None:
+        server_context(args.cert, args.key, [])
     if args.pose not in POSES:
         raise InputError(f"is {args.pose!r}, not one of {', '.join(POSES)}", "--pose")
     if args.calibration is not None:
