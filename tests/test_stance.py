@@ -10,7 +10,7 @@ from helpers import swaying_clip
 
 from questsim import rotations as rot
 from questsim.motion import footing as footing_module
-from questsim.motion.clip import Clip
+from questsim.motion.clip import FPS, Clip
 from questsim.motion.footing import measure_footing
 from questsim.motion.kinematics import clip_from_qpos, sole_points, sole_positions
 from questsim.motion.motion import Motion
@@ -21,7 +21,7 @@ from questsim.motion.spec import load_motions
 from questsim.motion.stance import Soles, from_lean, lean, lowest_point, measure_soles, plant
 from questsim.motion.stance_figures import stance_figures
 from questsim.motion.stance_stream import StancePlanter
-from questsim.skeleton import DOFS, FOOT_LINKS, JOINTS
+from questsim.skeleton import DOFS, FOOT_LINKS, JOINTS, LINKS
 
 HEIGHT = 1.75
 ANKLE_M = float(-sole_points()[..., 2].mean())
@@ -270,3 +270,32 @@ def test_feet_of_a_stream_that_point_outwards_skate_no_more_than_a_whole_motions
     rows = StreamRetargeter(motion, whole.height_m)(motion)
     stream = clip_from_qpos("stream", rows, whole.height_m)
     assert skating(stream) < 1.1 * skating(whole)
+
+
+def kneeling(walk: Clip, frames: int = 40) -> Motion:
+    """Someone who squats with the trunk and the pelvis bent forward by 90 degrees."""
+    motion = to_motion(walk)
+    bends = {"root": 90, "left_hip": -175, "left_knee": 95, "left_ankle": -10}
+    bends |= {joint.replace("left", "right"): bend for joint, bend in bends.items()}
+    rotations = np.zeros((frames, len(JOINTS), 4))
+    rotations[..., 0] = 1.0
+    for joint, bend in bends.items():
+        half = np.radians(bend) / 2.0
+        rotations[:, JOINTS.index(joint)] = [np.cos(half), 0.0, np.sin(half), 0.0]
+    still = replace(motion, rotations=rotations, root_position=np.zeros((frames, 3)), fps=FPS)
+    toes = still.forward_kinematics()[0][:, JOINTS.index("left_toe")]
+    return replace(still, root_position=-toes + [0.0, 0.0, 0.03])
+
+
+def test_hips_at_the_end_of_their_range_press_no_foot_into_the_floor(walk: Clip) -> None:
+    motion = kneeling(walk)
+    clip = to_clip(motion)
+    stream = StreamRetargeter(to_motion(walk), clip.height_m)(motion)
+    streamed = clip_from_qpos("stream", stream, clip.height_m)
+    _, quat = motion.forward_kinematics()
+    for each in (clip, streamed):
+        lowest = soles(each)[0]
+        assert lowest[5:].min() > -0.01
+        chest = each.link_quat[5:, LINKS.index("chest")]
+        turned = rot.angle_between(chest, quat[5:, JOINTS.index("spine3")])
+        assert np.degrees(turned).max() < 10.0

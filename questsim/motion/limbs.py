@@ -43,7 +43,7 @@ def _dofs(*names: str) -> list[int]:
     return [DOFS.index(name) for name in names]
 
 
-def _of_sides(*names: str) -> np.ndarray:
+def dofs_of_sides(*names: str) -> np.ndarray:
     """Columns ``(2, n)`` of hinges, left and right."""
     return np.array([_dofs(*(f"{side}_{name}" for name in names)) for side in SIDES])
 
@@ -192,9 +192,9 @@ def fill_legs(
     thigh, shin, knee = _two_bones(ankles - hips, knee_axes, upper, lower, bend=1.0)
     turns = np.stack([_relative(pelvis, thigh), _relative(shin, feet)], axis=1)
     found = _euler(turns, "YXZ")
-    angles[:, _of_sides("hip_y", "hip_x", "hip_z")] = found[:, 0]
-    angles[:, _of_sides("knee_y")] = knee[..., None]
-    angles[:, _of_sides("ankle_y", "ankle_x")] = found[:, 1, :, :2]
+    angles[:, dofs_of_sides("hip_y", "hip_x", "hip_z")] = found[:, 0]
+    angles[:, dofs_of_sides("knee_y")] = knee[..., None]
+    angles[:, dofs_of_sides("ankle_y", "ankle_x")] = found[:, 1, :, :2]
 
 
 def fill_arms(
@@ -230,11 +230,11 @@ def fill_arms(
     turn = np.stack([rot.yaw_quat(np.array(SHOULDER_TURN[side])) for side in SIDES])
     relative = _relative(turn, _relative(links["chest"][:, None], arm))
     relative = rot.quat_multiply(relative, turn)
-    dofs = _of_sides("shoulder_x", "shoulder_y", "shoulder_z")
+    dofs = dofs_of_sides("shoulder_x", "shoulder_y", "shoulder_z")
     angles[:, dofs] = _within_turn(_euler(relative, "XYZ"), dofs)
-    angles[:, _of_sides("elbow_y")] = elbow[..., None]
+    angles[:, dofs_of_sides("elbow_y")] = elbow[..., None]
     hand = rot.quat_multiply(quat[:, wrists], rest)
-    dofs = _of_sides("wrist_z", "wrist_x")
+    dofs = dofs_of_sides("wrist_z", "wrist_x")
     angles[:, dofs] = _within_turn(_euler(_relative(forearm, hand), "ZXY")[..., :2], dofs)
 
 

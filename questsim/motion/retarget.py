@@ -5,7 +5,7 @@ by the ratio of leg lengths; each leg then reaches the motion's sole, each arm t
 relative to the chest (so that a raised collarbone, which the avatar lacks, still raises the
 hand), by two-bone inverse kinematics in the plane of the motion's knee or elbow. Stance feet
 that float or tilt are planted first (``stance``). The resulting hinge angles are clipped to the
-body's ranges.
+body's ranges; where a foot would then sink, the pelvis turns back (``crouch``).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from questsim.body_proportions import Proportions
 from questsim.errors import InputError
 from questsim.motion.checks import stature
 from questsim.motion.clip import FPS, Clip
+from questsim.motion.crouch import beyond_range, pelvis_turn, turned_back
 from questsim.motion.footing import ANKLES, Footing, footing_of, leg_targets
 from questsim.motion.kinematics import clip_from_qpos, link_poses, sole_positions
 from questsim.motion.limbs import (
@@ -80,7 +81,14 @@ def to_clip(
     if footing is None:
         ankles[..., 2] += np.maximum(0.0, -lowest)
     allowed = np.minimum(lowest, 0.0) if footing else np.zeros_like(lowest)
-    qpos = solve_legs(root, quat, ankles, feet, allowed, bears, height, angles, body)
+    qpos = solve_legs(root, quat, ankles.copy(), feet, allowed, bears, height, angles, body)
+    if beyond_range(angles).any():
+        soles = sole_positions(*link_poses(qpos, height, FOOT_LINKS, body), height)
+        turn = smoothed(pelvis_turn(angles, allowed - soles[..., 2].min(axis=-1)))
+        if turn.any():
+            quat = turned_back(quat, turn)
+            fill_trunk(quat, angles)
+            qpos = solve_legs(root, quat, ankles, feet, allowed, bears, height, angles, body)
     return clip_from_qpos(
         motion.name,
         qpos,

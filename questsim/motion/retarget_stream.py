@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from questsim.body import build_body
+from questsim.motion.crouch import pelvis_turn, turned_back
 from questsim.motion.footing import ANKLES, leg_targets, measure_footing
 from questsim.motion.kinematics import sole_positions
 from questsim.motion.limbs import fill_arms, fill_legs, fill_trunk, hips_of, leg_m
@@ -78,6 +79,12 @@ class StreamRetargeter:
         qpos = self._with_legs(root, quat, ankles, feet, angles)
         wanted = sole_positions(ankles, feet, self._height).mean(axis=-2)
         soles = sole_positions(*self._feet(qpos), self._height)
+        turn = pelvis_turn(angles, allowed - soles[..., 2].min(axis=-1))
+        if turn.any():
+            quat = turned_back(quat, turn)
+            fill_trunk(quat, angles)
+            qpos = self._with_legs(root, quat, ankles, feet, angles)
+            soles = sole_positions(*self._feet(qpos), self._height)
         lowest = soles[..., 2].min(axis=-1)
         again = (lowest < allowed).any(axis=1) | bears.any(axis=1)
         if not again.any():
