@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from envs.avatar import Avatar
+from envs.avatar import avatar_of
 from envs.footing import fill
 from envs.footsteps import footsteps_of
 from envs.kernel_arguments import Episodes, Ground, ReferencePoses, Target, ground_of
@@ -28,7 +28,7 @@ _ARRAYS = (
 
 
 def footed_clip(
-    clip: Clip, place: np.ndarray, field: HeightField | None, avatar: Avatar, body: OwnBody | None
+    clip: Clip, place: np.ndarray, field: HeightField | None, body: OwnBody | None = None
 ) -> Clip:
     """Move and turn a clip, lift it by the ground, and put its feet on the ground.
 
@@ -36,12 +36,11 @@ def footed_clip(
         clip: a clip of the avatar's height.
         place: ``(4,)`` x and y in metres, cosine and sine of the turn.
         field: the ground, None for a plane.
-        avatar: the avatar of the task.
         body: the user's own body; None for our humanoid.
     """
     if field is None:
         return _turned_clip(clip, place)
-    frames = len(clip)
+    frames, avatar = len(clip), avatar_of(body)
     common = clip.scaled(avatar.base_m)
     target = Target.of(frames, 1, len(avatar.dofs), len(avatar.links))
     rows = np.arange(frames)

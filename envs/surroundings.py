@@ -49,8 +49,7 @@ class Surroundings:
     ) -> None:
         names, fixed, bind = reference.names, config.fixed_start, batch.bind
         self._reference, self._ratio = reference, ratio
-        self._body, self._avatar = config.body, avatar_of(config.body)
-        avatar = self._avatar
+        self._body, avatar = config.body, avatar_of(config.body)
         self.placement = Placement(reference, config.terrain, ratio, seed, fixed)
         self.pusher = Pusher(
             config.pushes,
@@ -99,13 +98,13 @@ class Surroundings:
             first: frame of the clip in which the episode began.
         """
         field, faults = self.placement.field, self.faults
-        avatar, body = self._avatar, self._body
-        placed = footed_clip(clip, self.placement.place[i], field, avatar, body)
+        body = self._body
+        placed = footed_clip(clip, self.placement.place[i], field, body)
         if not faults.jumped[i]:
             return placed
         # The frame of the jump still belongs to the old place.
         after = int(first + faults.jump[i]) + 1
-        return joined(footed_clip(clip, faults.before[i], field, avatar, body), placed, after)
+        return joined(footed_clip(clip, faults.before[i], field, body), placed, after)
 
     def _parts(self) -> dict[str, Any]:
         return {
