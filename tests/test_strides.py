@@ -130,6 +130,17 @@ def test_a_wrong_order_shows_in_the_feet_of_someone_who_squats_in_place(tmp_path
     assert "correct the CHANNELS lines" in str(refused.value)
 
 
+def test_fingers_of_another_order_hide_no_wrong_order(tmp_path):
+    (squat,) = load_recordings("synthetic:squat")[:1]
+    path = declared(tmp_path / "a.bvh", squat, "XYZ")
+    text = path.read_text()
+    hand = text.index("CHANNELS 3", text.index("LeftHand"))
+    other = text[hand:].replace("Xrotation Yrotation Zrotation", "Yrotation Xrotation Zrotation", 1)
+    path.write_text(text[:hand] + other)
+    with pytest.raises(InputError, match="order ZYX they would"):
+        read_motion(path)
+
+
 def test_a_wrong_order_shows_in_shoulders_whose_angles_jump(tmp_path):
     # The arms go up in front, past the pole of the order ZYX, where Z and X jump by half a turn.
     (stand,) = load_recordings("synthetic:stand")[:1]
@@ -143,3 +154,14 @@ def test_a_wrong_order_shows_in_shoulders_whose_angles_jump(tmp_path):
     read_motion(declared(tmp_path / "a.bvh", reach, "ZYX"))
     with pytest.raises(InputError, match=r"shoulders jerk.* order \w+ they would by only"):
         read_motion(declared(tmp_path / "a.bvh", reach, "XYZ"))
+
+
+@pytest.mark.parametrize("style", ["Mixamo", "Rokoko", "Xsens"])
+def test_a_walk_on_the_spot_is_not_taken_for_a_wrong_order(tmp_path, style):
+    path = tmp_path / "walk.bvh"
+    write_rig(path, RIGS[style])
+    head, rows = re.split(r"(?<=Frame Time: 0.0333333)\n", path.read_text())
+    values = np.array([[float(v) for v in row.split()] for row in rows.splitlines()])
+    values[:, [0, 2]] = values[0, [0, 2]]
+    write(path, head, values)
+    read_motion(path)

@@ -67,7 +67,7 @@ def read_bvh(path: str | Path, fps: float | None = None) -> Recording:
         fps=rate,
         sha256=hashlib.sha256(data).hexdigest(),
         tips=header.tips,
-        order=header.order,
+        orders=header.orders,
     )
 
 

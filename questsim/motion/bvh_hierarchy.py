@@ -42,11 +42,12 @@ class Header:
         return sum(map(len, self.channels))
 
     @property
-    def order(self) -> str:
-        """Of the rotation channels of all joints that have any; empty if they differ."""
-        orders = {"".join(c[0] for c in joint if c.endswith("rotation")) for joint in self.channels}
-        orders.discard("")
-        return orders.pop() if len(orders) == 1 else ""
+    def orders(self) -> dict[str, str]:
+        """The order of each joint's rotation channels, by its name, e.g. ``"ZXY"``."""
+        return {
+            name: "".join(channel[0] for channel in channels if channel.endswith("rotation"))
+            for name, channels in zip(self.names, self.channels, strict=True)
+        }
 
 
 def read_hierarchy(lines: list[str], path: Path) -> tuple[Header, int]:

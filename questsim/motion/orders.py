@@ -81,19 +81,19 @@ def order_problem(recording: Recording, family: Family, ups: Sequence[str], metr
         ups: the file's up axis, and others that it may have if wrong angles hid it.
         metres: per file unit.
     """
-    frames = len(recording.positions)
-    if len(recording.order) != 3 or frames < MIN_S * recording.fps:
-        return ""
     few = _some_joints(recording, family)
-    angles = rot.as_rotation(few.rotations).as_euler(few.order)  # in gimbal lock any will do
-    orders = [o for p in permutations("XYZ") if (o := "".join(p)) != few.order]
+    declared_order = _order(few)
+    if not declared_order or len(recording.positions) < MIN_S * recording.fps:
+        return ""
+    angles = rot.as_rotation(few.rotations).as_euler(declared_order)  # in gimbal lock any will do
+    orders = [o for p in permutations("XYZ") if (o := "".join(p)) != declared_order]
     others = {order: _turned(few, order, angles) for order in orders}
     declared = _feet(few, family, ups[:1])
     problem = _steadier(declared, others, family, ups, metres) or _smoother(few, others, family)
     if problem or declared.slide < SLIDES or declared.travel < TRAVELS:
         return problem
     for what, scale in (("with angles twice as large", 2.0), ("with half the angles", 0.5)):
-        other = _feet(_turned(few, few.order, angles * scale), family, ups[:1])
+        other = _feet(_turned(few, declared_order, angles * scale), family, ups[:1])
         if other.upright and other.slide < MUCH_SLOWER * declared.slide:
             return _said(declared, other, what, metres)
     return ""
@@ -110,11 +110,21 @@ def _steadier(
     if declared.unsteady * MUCH_BETTER < SLIDE * STEP * SPREAD:
         return ""  # nothing can be so much better
     found = {order: _feet(other, family, ups) for order, other in others.items()}
-    stand = [order for order in found if found[order].upright and found[order].slide < MAX_SLIDE]
+    stand = [order for order in found if _may_be_right(found[order], declared)]
     best = min(stand, key=lambda order: found[order].unsteady, default="")
     if not best or found[best].unsteady > MUCH_BETTER * declared.unsteady:
         return ""
     return _said(declared, found[best], f"with channels in the order {best}", metres)
+
+
+def _may_be_right(found: _Feet, declared: _Feet) -> bool:
+    """Whether the feet stand better in each respect.
+
+    In a walk on the spot, as on a treadmill, orders that hardly move the legs slide less, but the
+    lower foot leaves the floor.
+    """
+    steadier = found.slide < declared.slide and found.spread < declared.spread
+    return found.upright and found.slide < MAX_SLIDE and steadier
 
 
 def _smoother(declared: Recording, others: dict[str, Recording], family: Family) -> str:
@@ -145,6 +155,17 @@ def _said(declared: _Feet, other: _Feet, what: str, metres: float) -> str:
         f"{other.slide * speed:.2f} m/s and rise and sink by {other.spread * apart:.1f} cm: "
         f"{WRONG_ANGLES}"
     )
+
+
+def _order(recording: Recording) -> str:
+    """The order of all joints with three rotation channels; empty if they differ or there is none.
+
+    Joints that turn about fewer axes, such as knees, have the same angles in any order.
+    """
+    orders = {
+        order for name in recording.names if len(order := recording.orders.get(name, "")) == 3
+    }
+    return orders.pop() if len(orders) == 1 else ""
 
 
 def _turned(recording: Recording, order: str, angles: np.ndarray) -> Recording:

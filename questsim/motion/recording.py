@@ -41,8 +41,7 @@ class Recording:
         tips: joint index to ``(3,)`` end of the bone of a leaf joint, in that joint's frame;
             joints without an end in the file are absent.
         notes: what the reader changed or assumed, for the report.
-        order: of the rotation channels of all joints, e.g. ``"ZXY"``; empty if they differ or the
-            file has none.
+        orders: of the rotation channels, by joint, e.g. ``"ZXY"``; empty in files without.
     """
 
     path: Path
@@ -54,7 +53,7 @@ class Recording:
     sha256: str
     tips: Mapping[int, np.ndarray] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    order: str = ""
+    orders: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_bytes(path: Path) -> bytes:
