@@ -83,7 +83,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "motions list": Command(
         "questsim.motion_options:ListMotionsArgs", "questsim.motion.motions_command:list_motions",
-        "list the contents of a library, dataset, file or folder, or what there is",
+        "list the contents of a library, dataset, file or folder; alone, all datasets and kinds",
     ),
     "motions show": Command(
         "questsim.motion_options:ShowArgs", "questsim.viewing.show_command:show_clip",
@@ -108,7 +108,7 @@ COMMANDS: dict[str, Command] = {
     "compare-runs": Command(
         "questsim.compare_runs_options:CompareRunsArgs",
         "questsim.compare_runs_command:compare_runs",
-        "compare two evaluations clip by clip: intervals, clips that changed sides",
+        "compare two evaluations clip by clip: intervals, clips that only one completes",
     ),
     "estimate": Command(
         "agents.kinematic.options:EstimateArgs", "agents.kinematic.estimate_command:estimate",

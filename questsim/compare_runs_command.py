@@ -11,7 +11,7 @@ from questsim.statistics import Paired, paired
 
 
 def compare_runs(args: CompareRunsArgs) -> None:
-    """Print the differences of B from A with 95 % intervals, and the clips that changed sides.
+    """Print the differences of B from A with 95 % intervals, and clips that only one completes.
 
     Raises:
         InputError: one is no evaluation, or they have no clip in common.
