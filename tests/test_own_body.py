@@ -17,6 +17,8 @@ from agents.evaluation.rollout import env_config, roll_out
 from agents.policy.checkpoint import load_policy, save_policy
 from agents.policy.policy_agent import PolicyAgent, new_policy
 from agents.policy.spec import Layout, PolicySpec
+from agents.training import train_policy
+from agents.training.options import TrainArgs
 from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.objects import objects_named
@@ -312,6 +314,14 @@ def test_a_policy_is_refused_on_another_body_in_one_line_and_acts_on_its_own(tmp
     assert env_config(agent).body == own  # evaluation takes the policy's own body
     ours.close()
     theirs.close()
+
+
+def test_a_training_says_how_to_film_a_body_that_the_page_cannot_show(tmp_path, monkeypatch):
+    monkeypatch.setattr(train_policy, "find_policy", lambda out: out / "best")
+    ours = train_policy._outcome(TrainArgs(tmp_path))
+    theirs = train_policy._outcome(TrainArgs(tmp_path, body=GYMNASIUM))
+    assert "questsim play" in ours and "questsim play" not in theirs
+    assert theirs.endswith(f"--out {tmp_path}/scores --video")
 
 
 def robot_with(folder: Path, old: str, new: str) -> str:

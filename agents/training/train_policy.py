@@ -165,15 +165,16 @@ def _cluster(args: TrainArgs) -> AbstractContextManager[None]:
 def _outcome(args: TrainArgs) -> str:
     """Where the policy is, if the training saved one, and how to score and watch it.
 
-    A tracker of estimates is scored on the estimates, which are the motions that it observes.
+    A tracker of estimates is scored on the estimates, which are the motions that it observes. The
+    page shows only the avatar: a policy of another body is filmed instead.
     """
     out, motions = args.out, "synthetic" if args.estimates is None else args.estimates
     try:
-        return (
-            f"trained: {find_policy(out)}\n"
-            f"score it: questsim evaluate --agent {out} --motions {motions} --out {out}/scores\n"
-            f"watch it: questsim play {out}"
-        )
+        score = f"questsim evaluate --agent {out} --motions {motions} --out {out}/scores"
+        trained = f"trained: {find_policy(out)}\n"
+        if args.body is not None:
+            return f"{trained}score and film it: {score} --video"
+        return f"{trained}score it: {score}\nwatch it: questsim play {out}"
     except InputError:  # fine-tuning saves only a policy better than its start
         return f"no better than its start yet; continue with --resume --out {out}"
 
