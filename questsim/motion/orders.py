@@ -110,21 +110,22 @@ def _steadier(
     if declared.unsteady * MUCH_BETTER < SLIDE * STEP * SPREAD:
         return ""  # nothing can be so much better
     found = {order: _feet(other, family, ups) for order, other in others.items()}
-    stand = [order for order in found if _may_be_right(found[order], declared)]
-    best = min(stand, key=lambda order: found[order].unsteady, default="")
-    if not best or found[best].unsteady > MUCH_BETTER * declared.unsteady:
+    if not any(_clearly_steadier(feet, declared) for feet in found.values()):
         return ""
+    stand = [order for order, feet in found.items() if feet.upright and feet.slide < MAX_SLIDE]
+    best = min(stand, key=lambda order: found[order].unsteady)
     return _said(declared, found[best], f"with channels in the order {best}", metres)
 
 
-def _may_be_right(found: _Feet, declared: _Feet) -> bool:
-    """Whether the feet stand better in each respect.
+def _clearly_steadier(found: _Feet, declared: _Feet) -> bool:
+    """Whether the feet stand much better, and better in each respect.
 
     In a walk on the spot, as on a treadmill, orders that hardly move the legs slide less, but the
     lower foot leaves the floor.
     """
-    steadier = found.slide < declared.slide and found.spread < declared.spread
-    return found.upright and found.slide < MAX_SLIDE and steadier
+    better = found.slide < declared.slide and found.spread < declared.spread
+    much = found.unsteady < MUCH_BETTER * declared.unsteady
+    return found.upright and found.slide < MAX_SLIDE and better and much
 
 
 def _smoother(declared: Recording, others: dict[str, Recording], family: Family) -> str:
