@@ -26,9 +26,12 @@ from agents.policy.export import check_exportable
 from agents.policy.policy_agent import PolicyAgent, new_policy
 from agents.policy.spec import Layout, PolicySpec
 from envs.config import EnvConfig
+from envs.core import BatchSim
 from envs.layout import observation_layout
+from questsim.bodies import read_body
 from questsim.errors import InputError
 from questsim.motion.clip import FPS
+from questsim.motion.spec import load_motions
 from questsim.skeleton import LINKS
 from questsim.viewing import gl
 from questsim.viewing.live import Settings, Trace
@@ -452,6 +455,19 @@ def test_a_demo_refuses_what_it_cannot_show_before_its_page_opens(given, meant, 
     monkeypatch.setattr("agents.live.demo.Page", None)
     with pytest.raises(InputError, match=f"did you mean {meant}?"):
         demo(DemoArgs(**given))
+
+
+def test_pages_refuse_a_policy_of_another_body_before_they_open(tmp_path, monkeypatch):
+    body = read_body("gymnasium-humanoid")
+    sim = BatchSim(load_motions("synthetic:stand"), EnvConfig(body=body), 1)
+    policy = new_policy(PolicySpec(hidden=(8,), critic_blocks=()), Layout.of(sim.layout), hinges=17)
+    save_policy(tmp_path / "best", policy, Needs(body=body), {})
+    sim.close()
+    monkeypatch.setattr("agents.live.demo.Page", None)
+    with pytest.raises(InputError, match="the page shows only the avatar"):
+        demo(DemoArgs(agent=str(tmp_path)))
+    with pytest.raises(InputError, match="the page shows only the avatar"):
+        play(PlayArgs(tmp_path))
 
 
 @pytest.mark.parametrize(

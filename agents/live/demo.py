@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -20,6 +21,7 @@ from agents.live.session import DemoSession, check_choices, check_clip
 from agents.live.surroundings import needed_object
 from agents.live.users import Recordings
 from agents.live.watcher import Checkpoint, Watcher, first_checkpoint, load_checkpoint
+from agents.policy.checkpoint import read_card
 from agents.resolve import (
     BASELINES,
     resolve,
@@ -50,7 +52,7 @@ def demo(args: DemoArgs) -> None:
     if args.video is not None:
         _write_video(args, args.video)
         return
-    resolve(args.agent)
+    check_is_avatar(args.agent, resolve(args.agent).card)
     check_choices(_settings(args, (), args.agent))
     # The page opens before the embedded motions are made and shows that it is loading. Motions and
     # clips that the user names may not exist: they are looked for first.
@@ -72,6 +74,8 @@ def play(args: PlayArgs) -> None:
     check_choices(_settings(args, (), name))
     given = None if args.motions is None else _clips(args.motions, args.clip)
     checkpoint = first_checkpoint(args.run)
+    if not checkpoint.of_system:
+        check_is_avatar(name, read_card(checkpoint.folder))
     motions = args.motions or _trained_on(checkpoint)
     if args.clip is not None and given is None:
         given = _clips(motions, args.clip)
@@ -86,6 +90,21 @@ def play(args: PlayArgs) -> None:
         session.notes[name] = note
         with Watcher(args.run, name, session, checkpoint, recordings):
             watch(page, session)
+
+
+def check_is_avatar(name: str, card: Mapping[str, Any]) -> None:
+    """Refuse a policy for a body of the user's own, which no page shows.
+
+    Raises:
+        InputError: says what to do instead.
+    """
+    needs = card.get("needs")
+    if isinstance(needs, dict) and needs.get("body"):
+        raise InputError(
+            "was trained for a body of your own, and the page shows only the avatar",
+            name,
+            "film it with questsim evaluate --video",
+        )
 
 
 def _trained_on(checkpoint: Checkpoint) -> str:
