@@ -26,11 +26,11 @@ _LOOKS = 5
 """Number of moments of a swing at which the clearance is checked."""
 STEEPEST_RAD = 0.4
 """Greatest turn of a foot: the range of an ankle."""
-_STRAIGHT = 0.99
+STRAIGHT = 0.99
 """Legs are stretched up to this share of their length, or as far as the clip stretches them."""
 
 
-class _Site(NamedTuple):
+class Site(NamedTuple):
     """Where an avatar plays its clip, and how.
 
     Attributes:
@@ -47,7 +47,7 @@ class _Site(NamedTuple):
     walking: float
 
 
-class _Lift(NamedTuple):
+class Lift(NamedTuple):
     """How the ground under the pelvis moves a clip.
 
     Attributes:
@@ -182,7 +182,7 @@ def _swing(leg, row, site, soles, reference, from_m, to_m):
     """A foot between two stances.
 
     Args:
-        leg, row, site, soles, reference: as of ``_bearing``.
+        leg, row, site, soles, reference: as of ``foot_bearing``.
         from_m, to_m: height of the ground at the stances before and after.
 
     Returns:
@@ -206,7 +206,7 @@ def _swing(leg, row, site, soles, reference, from_m, to_m):
 
 
 @jit
-def _bearing(leg, row, site, soles, reference, lift):
+def foot_bearing(leg, row, site, soles, reference, lift):
     """Adapt a foot to the ground.
 
     Args:
@@ -260,16 +260,16 @@ def _on_feet(row, site, legs, reference, lift, pose, rises):
     """Put the feet of a pose on the ground. The pose is in the clip's own coordinates.
 
     Args:
-        row, site, reference, lift: as of ``_bearing``.
+        row, site, reference, lift: as of ``foot_bearing``.
         legs: of the 1.75 m body.
         pose: to change.
         rises: ``(16,)`` vertical velocities of the links in m/s, to fill.
     """
     scale, position, quat = site.scale, pose.position, pose.quat
     pelvis = (quat[0, 0], quat[0, 1], quat[0, 2], quat[0, 3])
-    left = _bearing(0, row, site, legs.soles[0], reference, lift)
-    right = _bearing(1, row, site, legs.soles[1], reference, lift)
-    straight = _STRAIGHT * scale * (legs.length[0] + legs.length[1])
+    left = foot_bearing(0, row, site, legs.soles[0], reference, lift)
+    right = foot_bearing(1, row, site, legs.soles[1], reference, lift)
+    straight = STRAIGHT * scale * (legs.length[0] + legs.length[1])
     drop = 0.0
     for leg in range(2):
         bearing = left if leg == 0 else right
@@ -294,7 +294,7 @@ def _on_feet(row, site, legs, reference, lift, pose, rises):
 
 
 @jit
-def _copy(reference, row, scale, pose):
+def copy_pose(reference, row, scale, pose):
     """Copy a row of the reference, scaled, to a pose."""
     angles, position, quat = pose
     for j in range(angles.shape[0]):
@@ -336,12 +336,12 @@ def fill(
     for index in range(first, last):
         i = ids[index]
         scale = episodes.ratio[i]
-        site = _Site(place[i], ground.surface, ground.grid, scale, walking)  # type: ignore[arg-type]
+        site = Site(place[i], ground.surface, ground.grid, scale, walking)  # type: ignore[arg-type]
         for k in range(offsets.shape[0]):
             row = min(frame[i] + offsets[k], end[i] - 1)
             before = max(row - 1, begin[i])
             pose = Pose(angles[i, k], position[i, k], quat[i, k])
-            _copy(reference, row, scale, pose)
+            copy_pose(reference, row, scale, pose)
             rises[i, k] = 0.0
             lift = 0.0
             if not level:
@@ -349,7 +349,7 @@ def fill(
                 lift = ground_at(ground.height, ground.grid, x, y)
                 x, y = placed(place[i], qpos[before, 0] * scale, qpos[before, 1] * scale)
                 rise = FPS * (lift - ground_at(ground.height, ground.grid, x, y))
-                _on_feet(row, site, legs, reference, _Lift(lift, rise), pose, rises[i, k])
+                _on_feet(row, site, legs, reference, Lift(lift, rise), pose, rises[i, k])
             for b in range(position.shape[2]):
                 x, y = placed(place[i], position[i, k, b, 0], position[i, k, b, 1])
                 position[i, k, b, 0], position[i, k, b, 1] = x, y

@@ -50,7 +50,7 @@ def footsteps_of(clips: Sequence[Clip]) -> Footsteps:
     """The steps of clips of the 1.75 m body, one clip after the other."""
     parts, begin = [np.zeros((6, 0, 2))], 0
     for clip in clips:
-        columns = [_foot_steps(*_soles(clip, foot)) for foot in range(2)]
+        columns = [steps_of_foot(*_soles(clip, foot)) for foot in range(2)]
         parts.append(np.stack(columns, axis=-1))
         parts[-1][:4] += begin
         begin += len(clip)
@@ -71,7 +71,7 @@ def _soles(clip: Clip, foot: int) -> tuple[np.ndarray, np.ndarray]:
     return low & (speed[frames, lowest] < STANDING_M_S), points[..., :2].mean(axis=1)
 
 
-def _foot_steps(stands: np.ndarray, middle: np.ndarray) -> np.ndarray:
+def steps_of_foot(stands: np.ndarray, middle: np.ndarray) -> np.ndarray:
     """Fields of ``Footsteps`` ``(6, F)`` of one foot of one clip, rows counted from its first."""
     count = len(stands)
     if not stands.any():  # never in stance: use the ground below the foot

@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from envs.footing import (
-    _STRAIGHT,
-    _bearing,
-    _copy,
-    _Lift,
-    _Site,
+    STRAIGHT,
+    Lift,
+    Site,
+    copy_pose,
+    foot_bearing,
 )
-from envs.footsteps import STANDING_M, STANDING_M_S, Footsteps, _foot_steps
+from envs.footsteps import STANDING_M, STANDING_M_S, Footsteps, steps_of_foot
 from envs.kernel_arguments import Episodes, Ground, ReferencePoses, Target
 from envs.leg_ik import Pose, distance, rotated
 from envs.lookups import ground_at, placed, product
@@ -135,7 +135,7 @@ def own_feet(body: OwnBody, clips: Sequence[Clip]) -> OwnFeet:
     for position, quat in many:
         feet = list(_FEET)
         points = position[:, feet, None] + rot.quat_rotate(quat[:, feet, None], legs.soles)
-        columns = [_foot_steps(*_in_stance(points[:, side])) for side in range(2)]
+        columns = [steps_of_foot(*_in_stance(points[:, side])) for side in range(2)]
         parts.append(np.stack(columns, axis=-1))
         parts[-1][:4] += begin
         begin += len(points)
@@ -297,7 +297,7 @@ def _on_feet(row, site, legs, links, roles, lift, pose, rises, work):
     """Put the feet of a pose on the ground. The pose is in the clip's own coordinates.
 
     Args:
-        row, site, lift: as of ``footing._bearing``.
+        row, site, lift: as of ``footing.foot_bearing``.
         legs: of the body's own size.
         links: ``ReferencePoses`` of the body's links.
         roles: those of the avatar's links on it.
@@ -306,15 +306,15 @@ def _on_feet(row, site, legs, links, roles, lift, pose, rises, work):
         work: arrays to write to.
     """
     scale, position = site.scale, pose.position
-    left = _bearing(0, row, site, legs.soles[0], roles, lift)
-    right = _bearing(1, row, site, legs.soles[1], roles, lift)
+    left = foot_bearing(0, row, site, legs.soles[0], roles, lift)
+    right = foot_bearing(1, row, site, legs.soles[1], roles, lift)
     drop = 0.0
     for leg in range(2):
         held = left if leg == 0 else right
         thigh, foot = roles.position[row, 1 + 3 * leg], roles.position[row, 3 + 3 * leg]
         hip = (thigh[0] * scale, thigh[1] * scale, thigh[2] * scale)
         ankle = (foot[0] * scale, foot[1] * scale, foot[2] * scale)
-        reach = max(distance(ankle, hip), _STRAIGHT * scale * legs.straight[leg])
+        reach = max(distance(ankle, hip), STRAIGHT * scale * legs.straight[leg])
         across = (held[1] - hip[0]) ** 2 + (held[2] - hip[1]) ** 2
         down = math.sqrt(max(reach * reach - across, 0.0))
         drop = max(drop, held[0] * (hip[2] - held[3] - down))
@@ -364,18 +364,18 @@ def fill_own(
     for index in range(first, last):
         i = ids[index]
         scale = episodes.ratio[i]
-        site = _Site(place[i], ground.surface, ground.grid, scale, walking)  # type: ignore[arg-type]
+        site = Site(place[i], ground.surface, ground.grid, scale, walking)  # type: ignore[arg-type]
         for k in range(offsets.shape[0]):
             row = min(frame[i] + offsets[k], end[i] - 1)
             before = max(row - 1, begin[i])
             pose = Pose(target.angles[i, k], target.position[i, k], target.quat[i, k])
-            _copy(links, row, scale, pose)
+            copy_pose(links, row, scale, pose)
             x, y = placed(place[i], links.qpos[row, 0] * scale, links.qpos[row, 1] * scale)
             lift = ground_at(ground.height, ground.grid, x, y)
             x, y = placed(place[i], links.qpos[before, 0] * scale, links.qpos[before, 1] * scale)
             rise = FPS * (lift - ground_at(ground.height, ground.grid, x, y))
             rises = target.rise[i, k]
-            _on_feet(row, site, legs, links, roles, _Lift(lift, rise), pose, rises, work)
+            _on_feet(row, site, legs, links, roles, Lift(lift, rise), pose, rises, work)
             for b in range(target.position.shape[2]):
                 x, y = placed(place[i], target.position[i, k, b, 0], target.position[i, k, b, 1])
                 target.position[i, k, b, 0], target.position[i, k, b, 1] = x, y

@@ -8,7 +8,7 @@ from test_terrain import CLIPS, STANDING, gliding_clip
 
 from envs import BatchSim, EnvConfig, Terrain
 from envs.footed_clip import footed_clip
-from envs.footsteps import _foot_steps, footsteps_of
+from envs.footsteps import footsteps_of, steps_of_foot
 from envs.terrain import height_field
 from questsim.heightfield import HeightField
 from questsim.motion.clip import FPS, Clip
@@ -27,7 +27,7 @@ def test_a_foot_goes_from_the_stance_before_to_the_one_after() -> None:
     stands = np.array([0, 1, 1, 1, 0, 0, 0, 1, 1, 1, 0], bool)
     middle = np.zeros((11, 2))
     middle[7:, 0] = 0.6
-    before, after, first, last, swings, stays = _foot_steps(stands, middle)
+    before, after, first, last, swings, stays = steps_of_foot(stands, middle)
     assert before.tolist() == [2] * 7 + [8] * 4
     assert after.tolist() == [2] * 4 + [8] * 7
     assert swings.tolist() == [0, 0, 0, 0, 1, 1, 1, 0, 0, 0, 0]
@@ -37,7 +37,7 @@ def test_a_foot_goes_from_the_stance_before_to_the_one_after() -> None:
 
 def test_a_foot_that_slides_as_it_stands_goes_from_place_to_place() -> None:
     middle = np.stack([np.linspace(0.0, 0.3, 31), np.zeros(31)], -1)
-    before, after, first, last, swings, _ = _foot_steps(np.ones(31, bool), middle).astype(int)
+    before, after, first, last, swings, _ = steps_of_foot(np.ones(31, bool), middle).astype(int)
     assert not swings.any() and len(set(before)) >= 3
     moving = before != after
     assert (middle[after[moving], 0] - middle[before[moving], 0]).max() < 0.11
