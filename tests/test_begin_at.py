@@ -90,7 +90,7 @@ def test_differences_of_stature_are_drawn_for_each_simulation() -> None:
     small = EnvConfig(randomisation=drawn, heights=(1.2, 1.3))
     with pytest.raises(InputError, match=r"unscaled_m: the users would be 1\.1"):
         BatchSim(CLIPS[:1], small, num_envs=40, seed=3)
-    with pytest.raises(InputError, match="one size"):
+    with pytest.raises(InputError, match="unscaled_m does not go with a body of your own"):
         EnvConfig(randomisation=drawn, body=read_body("gymnasium-humanoid"))
 
 
