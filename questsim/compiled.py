@@ -103,8 +103,39 @@ class _Impl(caching.CompileResultCacheImpl):
     ]
 
 
+class _CacheFile(caching.IndexDataCacheFile):
+    """Numba's, but files that cannot be read count as missing.
+
+    Numba unpickles them before it compares stamps. That fails if a record that a loop takes was
+    renamed since, and if a file is damaged.
+    """
+
+    def _load_index(self) -> dict[Any, str]:
+        try:
+            return super()._load_index()
+        except PermissionError:
+            raise
+        except Exception:  # unpickling can raise anything
+            return {}
+
+    def load(self, key: Any) -> Any:
+        try:
+            return super().load(key)
+        except Exception:
+            return None  # the loop is compiled
+
+
 class _Cache(caching.FunctionCache):
     _impl_class = _Impl
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        made: Any = self._cache_file
+        self._cache_file = _CacheFile(
+            cache_path=self._cache_path,
+            filename_base=self._impl.filename_base,
+            source_stamp=made._source_stamp,
+        )
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Numba's, but without loading all that numba can compile, which takes 0.2 s of CPU.

@@ -84,3 +84,25 @@ def test_a_loop_compiles_again_when_a_module_that_it_contains_has_changed(
     path.write_text(before)
     assert hits == 0
     assert changed == pytest.approx(value)
+
+
+def test_a_loop_compiles_again_when_a_record_that_it_takes_was_renamed(folder: Path) -> None:
+    files = [folder / "loops" / f"{name}.py" for name in ("records", "loop")]
+    before = [file.read_text() for file in files]
+    for file, text in zip(files, before, strict=True):
+        file.write_text(text.replace("Pair", "Couple"))
+    assert run(folder) == (5.0, 0)
+    for file, text in zip(files, before, strict=True):
+        file.write_text(text)
+    assert run(folder) == (5.0, 0)
+
+
+@pytest.mark.parametrize("kind", ["*loop.score*.nbi", "*loop.score*.nbc"])
+def test_a_loop_compiles_again_when_its_stored_file_is_damaged(folder: Path, kind: str) -> None:
+    run(folder)
+    stored = list((folder / "loops" / "__pycache__").glob(kind))
+    assert stored and run(folder) == (5.0, 1)
+    for file in stored:
+        file.write_bytes(file.read_bytes()[:60])
+    assert run(folder) == (5.0, 0)
+    assert run(folder) == (5.0, 1)
