@@ -13,7 +13,7 @@ from fake_env import FakeVecEnv
 from agents.agent import Needs
 from agents.loading import load_agent
 from agents.policy.checkpoint import load_policy, load_resume, pack, save_policy, unpack
-from agents.policy.networks import RunningNorm, TorquePolicy, moments
+from agents.policy.networks import RunningNorm, TorquePolicy, mean_and_variance
 from agents.policy.policy_agent import PolicyAgent, Tracker, new_policy
 from agents.policy.spec import (
     TRACKER_BLOCKS,
@@ -55,7 +55,7 @@ def test_normaliser_has_the_mean_and_variance_of_all_rows_seen():
     parts = [rng.normal(3, 2, (n, 5)).astype(np.float32) for n in (7, 100, 1)]
     norm = RunningNorm(5)
     for part in parts:
-        norm.merge(len(part), *moments(torch.from_numpy(part)))
+        norm.merge(len(part), *mean_and_variance(torch.from_numpy(part)))
     rows = np.concatenate(parts)
     np.testing.assert_allclose(norm.mean, rows.mean(0), rtol=1e-5)
     np.testing.assert_allclose(norm.var, rows.var(0), rtol=1e-4)
@@ -65,7 +65,7 @@ def test_normaliser_has_the_mean_and_variance_of_all_rows_seen():
 
 def test_normaliser_clips_outliers_and_spares_constant_inputs():
     norm = RunningNorm(1)
-    norm.merge(10, *moments(torch.full((10, 1), 1.75)))
+    norm.merge(10, *mean_and_variance(torch.full((10, 1), 1.75)))
     assert norm(torch.tensor([[1.76]])).item() == pytest.approx(1.0, rel=1e-3)
     assert norm(torch.tensor([[9.0]])).item() == 10.0
 

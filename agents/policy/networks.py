@@ -76,7 +76,7 @@ class RunningNorm(nn.Module):
         self.count.copy_(total)
 
 
-def moments(rows: Tensor) -> Tensor:
+def mean_and_variance(rows: Tensor) -> Tensor:
     """Mean and variance ``(2, D)`` over the rows ``(n, D)``.
 
     Two passes take a sixth of the time of ``torch.var_mean`` over the first dimension.
@@ -340,7 +340,7 @@ class TorquePolicy(ActorCriticPolicy):
             of_all: gives the statistics of every worker's observations, for one's own.
         """
         networks = [self.actor] if self.critic is None else [self.actor, self.critic]
-        for mean, var in of_all(moments(obs)):  # all have as many rows
+        for mean, var in of_all(mean_and_variance(obs)):  # all have as many rows
             for network in networks:
                 columns = network.columns
                 network.norm.merge(len(obs), mean[columns], var[columns])
