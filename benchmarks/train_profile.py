@@ -26,7 +26,7 @@ from envs import EnvConfig, QuestVecEnv
 
 PARTS = {
     "teacher": {
-        "physics": ("env.sim.batch", "step"),
+        "physics": ("env.sim._physics", "step"),
         "observe_and_score": ("env.sim", "_after_step"),
         "restart_episodes": ("env", "_end_episodes"),
         "update": ("learner", "_optimise"),
@@ -34,7 +34,7 @@ PARTS = {
         "normaliser": ("learner.policy", "update_norm"),
     },
     "student": {
-        "physics": ("env.sim.batch", "step"),
+        "physics": ("env.sim._physics", "step"),
         "observe_and_score": ("env.sim", "_after_step"),
         "restart_episodes": ("env", "_end_episodes"),
         "update": ("learner", "_learn"),
@@ -63,16 +63,6 @@ class Clock:
         setattr(owner, method, timed)
 
 
-class Watched:
-    """A proxy whose methods can be replaced, for an object whose methods cannot."""
-
-    def __init__(self, inner: Any) -> None:
-        self.__dict__["_inner"] = inner
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._inner, name)
-
-
 def profile(stage: str, args: Any, teacher: Path | None) -> tuple[dict[str, float], Any]:
     """Time shares of the parts of ``stage``'s iterations, its steps/s, and the learner."""
     config = PRESETS["cpu"].stages[stage]
@@ -85,7 +75,6 @@ def profile(stage: str, args: Any, teacher: Path | None) -> tuple[dict[str, floa
     for _ in range(2):  # the first iteration only measures observations, the second compiles
         learner.iterate(lambda *_: None, 0.0)
     clock = Clock()
-    env.sim.batch = Watched(env.sim.batch)  # type: ignore[assignment]
     for part, (owner, method) in PARTS[stage].items():
         target: Any = {"env": env, "learner": learner}[owner.split(".")[0]]
         for name in owner.split(".")[1:]:
