@@ -294,6 +294,25 @@ def _on_feet(row, site, legs, reference, lift, pose, rises):
 
 
 @jit
+def lift_at(qpos, row, before, site, ground):
+    """How the ground under the pelvis moves a clip in a row; ``before`` is the row before it."""
+    place, scale = site.place, site.scale
+    x, y = placed(place, qpos[row, 0] * scale, qpos[row, 1] * scale)
+    lift = ground_at(ground.height, ground.grid, x, y)
+    x, y = placed(place, qpos[before, 0] * scale, qpos[before, 1] * scale)
+    return Lift(lift, FPS * (lift - ground_at(ground.height, ground.grid, x, y)))
+
+
+@jit
+def place_links(position, place, lift):
+    """Move link positions ``(L, 3)`` of a clip to its place in the world, and raise them."""
+    for b in range(position.shape[0]):
+        x, y = placed(place, position[b, 0], position[b, 1])
+        position[b, 0], position[b, 1] = x, y
+        position[b, 2] += lift
+
+
+@jit
 def copy_pose(reference, row, scale, pose):
     """Copy a row of the reference, scaled, to a pose."""
     angles, position, quat = pose
@@ -345,12 +364,7 @@ def fill(
             rises[i, k] = 0.0
             lift = 0.0
             if not level:
-                x, y = placed(place[i], qpos[row, 0] * scale, qpos[row, 1] * scale)
-                lift = ground_at(ground.height, ground.grid, x, y)
-                x, y = placed(place[i], qpos[before, 0] * scale, qpos[before, 1] * scale)
-                rise = FPS * (lift - ground_at(ground.height, ground.grid, x, y))
-                _on_feet(row, site, legs, reference, Lift(lift, rise), pose, rises[i, k])
-            for b in range(position.shape[2]):
-                x, y = placed(place[i], position[i, k, b, 0], position[i, k, b, 1])
-                position[i, k, b, 0], position[i, k, b, 1] = x, y
-                position[i, k, b, 2] += lift
+                lifted = lift_at(qpos, row, before, site, ground)
+                lift = lifted.height
+                _on_feet(row, site, legs, reference, lifted, pose, rises[i, k])
+            place_links(position[i, k], place[i], lift)

@@ -16,15 +16,16 @@ import numpy as np
 
 from envs.footing import (
     STRAIGHT,
-    Lift,
     Site,
     copy_pose,
     foot_bearing,
+    lift_at,
+    place_links,
 )
 from envs.footsteps import STANDING_M, STANDING_M_S, Footsteps, steps_of_foot
 from envs.kernel_arguments import Episodes, Ground, ReferencePoses, Target
 from envs.leg_ik import Pose, distance, rotated
-from envs.lookups import ground_at, placed, product
+from envs.lookups import product
 from questsim import rotations as rot
 from questsim.bodies import OwnBody, map_of
 from questsim.bodies.retarget import poses_of
@@ -370,13 +371,6 @@ def fill_own(
             before = max(row - 1, begin[i])
             pose = Pose(target.angles[i, k], target.position[i, k], target.quat[i, k])
             copy_pose(links, row, scale, pose)
-            x, y = placed(place[i], links.qpos[row, 0] * scale, links.qpos[row, 1] * scale)
-            lift = ground_at(ground.height, ground.grid, x, y)
-            x, y = placed(place[i], links.qpos[before, 0] * scale, links.qpos[before, 1] * scale)
-            rise = FPS * (lift - ground_at(ground.height, ground.grid, x, y))
-            rises = target.rise[i, k]
-            _on_feet(row, site, legs, links, roles, Lift(lift, rise), pose, rises, work)
-            for b in range(target.position.shape[2]):
-                x, y = placed(place[i], target.position[i, k, b, 0], target.position[i, k, b, 1])
-                target.position[i, k, b, 0], target.position[i, k, b, 1] = x, y
-                target.position[i, k, b, 2] += lift
+            lift = lift_at(links.qpos, row, before, site, ground)
+            _on_feet(row, site, legs, links, roles, lift, pose, target.rise[i, k], work)
+            place_links(target.position[i, k], place[i], lift.height)

@@ -97,13 +97,10 @@ def merged(fresh: dict[str, Any], kept: dict[str, Any], report: Path = SOURCE) -
             report,
             "compare all agents, or the same clips",
         )
-    rows = {row["agent"]: [] for row in (*kept["rows"], *fresh["rows"])}
-    for row in kept["rows"]:
-        if row["agent"] not in new["agents"]:
-            rows[row["agent"]].append(row)
-    for row in fresh["rows"]:
-        if row["agent"] in new["agents"]:
-            rows[row["agent"]].append(row)
+    order = dict.fromkeys(row["agent"] for row in (*kept["rows"], *fresh["rows"]))
+    rows = [row for row in kept["rows"] if row["agent"] not in new["agents"]]
+    rows += [row for row in fresh["rows"] if row["agent"] in new["agents"]]
     made_with = old.get("made_with", {}) | dict.fromkeys(new["agents"], new["versions"])
     context = old | {"agents": old["agents"] | new["agents"], "made_with": made_with}
-    return kept | {"context": context, "rows": [row for each in rows.values() for row in each]}
+    in_order = [row for name in order for row in rows if row["agent"] == name]
+    return kept | {"context": context, "rows": in_order}
