@@ -267,9 +267,14 @@ def check_same_run(
         if name.partition(".")[0] not in may_differ and value != before.get(name):
             what = f"--{name.replace('_', '-')} was {before.get(name)}, not {value}"
             raise InputError(what, out / RECORD, "use it again")
-    if record["data"]["sha256"] != data["sha256"]:
-        what = "the motions differ from those at the start of this run"
-        raise InputError(what, out / RECORD, "name the same motions, or another --out")
+    validation = record["data"].get("validation", {}), data.get("validation", {})
+    for which, (held, given) in {
+        "motions": (record["data"], data),
+        "validation clips": validation,
+    }.items():
+        if held.get("sha256") != given.get("sha256"):
+            what = f"the {which} differ from those at the start of this run"
+            raise InputError(what, out / RECORD, f"name the same {which}, or another --out")
 
 
 def _by_option(args: dict[str, Any]) -> dict[str, Any]:

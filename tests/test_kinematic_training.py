@@ -429,3 +429,33 @@ def test_an_unknown_schedule_is_refused(library, tmp_path):
     args = arguments("lgsik", library, tmp_path / "run", set=("stages.network.schedule=stairs",))
     with pytest.raises(InputError, match="schedule is 'stairs', not one of cosine"):
         train_system(args)
+
+
+def test_kinds_are_drawn_by_the_power_of_their_frames_that_is_asked_for():
+    """12 windows of standing in two clips, 3 of a jump: 80, 67 and 50 % of the draws."""
+    whole = MOTION.resampled(60.0)
+    motions = [
+        replace(
+            whole, root_position=whole.root_position[:n], rotations=whole.rotations[:n], kind=kind
+        )
+        for kind, n in (("stand", 8), ("stand", 8), ("jump", 5))
+    ]
+    for power, share in ((1.0, 0.8), (0.5, 2 / 3), (0.0, 0.5)):
+        bank = MotionBank(motions, 3, kind_power=power)
+        assert bank.probability.sum() == pytest.approx(1.0)
+        assert bank.probability[:2].sum() == pytest.approx(share)
+        assert bank.probability[0] == pytest.approx(bank.probability[1])
+
+
+def test_checkpoints_are_compared_on_the_motions_of_validation(library, tmp_path):
+    told = {}
+    for name, validation in (("own", None), ("other", "synthetic:kick")):
+        out = tmp_path / name
+        assert train_system(arguments("hmdposer", library, out, validation=validation)) == 0
+        told[name] = history(out, "hmdposer")
+    assert told["own"] != told["other"]
+    again = arguments("hmdposer", library, tmp_path / "other", resume=True)
+    with pytest.raises(InputError, match="the validation clips differ"):
+        train_system(replace(again, validation="synthetic:bow"))
+    with pytest.raises(InputError, match="--validation: does not go with --hold-out"):
+        train_system(replace(again, validation="synthetic:kick", hold_out="old"))

@@ -55,12 +55,20 @@ class MotionBank:
         motions: recordings of any frame rate.
         length: frames per window; shorter motions are left out.
         held: recordings that are only in the fixed windows on which checkpoints are compared.
+        kind_power: windows of a kind of motion are drawn in proportion to this power of its
+            frames: 1 draws all frames equally often, 0 all kinds.
 
     Raises:
         InputError: no motion is long enough.
     """
 
-    def __init__(self, motions: Sequence[Motion], length: int, held: Sequence[Motion] = ()) -> None:
+    def __init__(
+        self,
+        motions: Sequence[Motion],
+        length: int,
+        held: Sequence[Motion] = (),
+        kind_power: float = 1.0,
+    ) -> None:
         self.validation: MotionBank = MotionBank(held, length) if held else self
         kept = [m for m in (motion.resampled(SENSOR_FPS) for motion in motions) if len(m) >= length]
         if not kept:
@@ -74,7 +82,8 @@ class MotionBank:
         frames = np.array([len(m) for m in kept])
         self.first = np.cumsum(frames) - frames
         self.starts = frames - length + 1
-        self._probability = self.starts / self.starts.sum()
+        weight = self.starts * _by_kind([m.kind for m in kept], self.starts, kind_power)
+        self.probability = weight / weight.sum()
 
     @property
     def template(self) -> np.ndarray:
@@ -93,7 +102,7 @@ class MotionBank:
             rng: source of all random numbers.
             vary: whether most bodies get random proportions; otherwise all are as recorded.
         """
-        clip = rng.choice(len(self.first), size=count, p=self._probability)
+        clip = rng.choice(len(self.first), size=count, p=self.probability)
         start = self.first[clip] + (rng.random(count) * self.starts[clip]).astype(np.int64)
         rows = start[:, None] + np.arange(self.length)
         offsets = self.offsets[clip]
@@ -111,6 +120,12 @@ class MotionBank:
     def fixed(self, count: int) -> Windows:
         """A fixed set of windows from all recordings, to compare checkpoints."""
         return self.draw(count, np.random.default_rng(20_260))
+
+
+def _by_kind(kinds: Sequence[str], starts: np.ndarray, power: float) -> np.ndarray:
+    """Factor on each recording's chance, so that a kind's is its number of starts to ``power``."""
+    _, kind = np.unique(kinds, return_inverse=True)
+    return np.bincount(kind, weights=starts)[kind] ** (power - 1.0)
 
 
 def _mirror(

@@ -37,6 +37,7 @@ class Learning:
         steps: largest number of gradient steps of the stage.
         epochs: published number of passes over the data: the budget without --minutes and --steps.
         stride: frames between the windows of a pass; 0 for one window of each motion.
+        kind_power: how often kinds of motion are drawn; see ``data.MotionBank``.
         weights: weights of loss terms by name: HMD-Poser's terms, ``continuity`` in DragPoser's
             ``vae``, ``keep`` in SparsePoser's ``ik``; by default the published ones.
         noise: errors of the devices, of HMD-Poser and LGSIK-Poser (``recurrent.faults``).
@@ -56,6 +57,7 @@ class Learning:
     steps: int | None = None
     epochs: int | None = None
     stride: int = 0
+    kind_power: float = 1.0
     weights: dict[str, float] = field(default_factory=dict)
     noise: dict[str, float] = field(default_factory=dict)
 
@@ -65,7 +67,7 @@ class Learning:
                 what = f"{name} is {getattr(self, name)!r}, not one of {', '.join(known)}"
                 raise InputError(what, "a stage")
         within("a stage", 0.0, 1.0, share=self.share, learning_rate=self.learning_rate)
-        within("a stage", 0.0, 1.0, final_rate=self.final_rate)
+        within("a stage", 0.0, 1.0, final_rate=self.final_rate, kind_power=self.kind_power)
 
 
 STEP_AT = 0.75

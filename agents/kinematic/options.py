@@ -47,6 +47,8 @@ class TrainSystemArgs:
     """Seed of all random numbers."""
     hold_out: str = ""
     """Styles, separated by commas, to hold out from training and compare checkpoints on."""
+    validation: str | None = None
+    """Motions to compare checkpoints on; by default those of the training."""
     set: tuple[str, ...] = ()
     """Change values of the preset, e.g. stages.network.batch=16."""
 

@@ -171,7 +171,7 @@ class GradientWorker:
         torch.manual_seed(stage.seed)
         entry, learning = AGENTS[stage.agent], stage.learning
         module = entry.build(stage.spec)
-        bank = MotionBank(stage.motions, learning.window, stage.held)
+        bank = MotionBank(stage.motions, learning.window, stage.held, learning.kind_power)
         task = entry.task(module, stage.name, learning, bank, stage.validation)
         self._descent = Descent(module, task, learning)
         self._seed, self._rank, self._peers = stage.seed, rank, ALONE

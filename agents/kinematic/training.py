@@ -44,6 +44,7 @@ from questsim.motion.motion import Motion
 
 MAY_DIFFER_ON_RESUME = {
     "motions",
+    "validation",
     "minutes",
     "steps",
     "resume",
@@ -66,6 +67,8 @@ def train_system(args: TrainSystemArgs) -> int:
     check_logger(args.log)
     at_least(1, threads=args.threads, steps=args.steps)
     at_least(0, minutes=args.minutes, seed=args.seed)
+    if args.validation is not None and args.hold_out:
+        raise InputError("does not go with --hold-out", "--validation", "leave one out")
     cluster = _cluster(args)
     if args.agent not in AGENTS:
         raise InputError(f"there is no {args.agent!r}", "--agent", one_of_these(args.agent, AGENTS))
@@ -110,7 +113,10 @@ def _motions(args: TrainSystemArgs) -> tuple[Sequence[Motion], Sequence[Motion],
 
     motions, held = without_styles(load_recordings(args.motions, seed=args.seed), args.hold_out)
     data = motions_record(args.motions, motions)
-    return motions, held, data | ({"hold_out": args.hold_out} if held else {})
+    if args.validation is None:
+        return motions, held, data | ({"hold_out": args.hold_out} if held else {})
+    held = load_recordings(args.validation, seed=args.seed)
+    return motions, held, data | {"validation": motions_record(args.validation, held)}
 
 
 def _cluster(args: TrainSystemArgs) -> AbstractContextManager[None]:
@@ -160,7 +166,7 @@ def _fit(
     config: Config,
     module: nn.Module,
     motions: tuple[Sequence[Motion], Sequence[Motion]],
-    banks: dict[int, MotionBank],
+    banks: dict[tuple[int, float], MotionBank],
     data: dict[str, Any],
 ) -> Fit:
     """One stage, resumed if ``args`` request it and a checkpoint exists.
@@ -168,15 +174,16 @@ def _fit(
     ``motions`` are those to learn and those held out.
     """
     learning = config.stages[name]
-    if learning.window not in banks:
+    drawn = learning.window, learning.kind_power
+    if drawn not in banks:
         banks.clear()
-        banks[learning.window] = MotionBank(motions[0], learning.window, motions[1])
+        banks[drawn] = MotionBank(motions[0], learning.window, motions[1], learning.kind_power)
     stages = list(config.stages)
     # Each stage has its own random stream, whether or not the stage before was resumed.
     seed = args.seed + 1000 * stages.index(name)
     torch.manual_seed(seed)
     part = part_of(learning, max(args.workers, 1))
-    bank, validation = banks[learning.window], config.validation
+    bank, validation = banks[drawn], config.validation
     task = AGENTS[args.agent].task(module, name, part, bank, validation)
     team: Team = Nobody()
     if args.workers:

@@ -148,12 +148,21 @@ def _facts(system: KinematicSystem, training: Mapping[str, Any], weights_bytes: 
         "licence": training["licence"],
         "trained on": f"`{training['motions']}`: {training['clips']} clips, {held}"
         f"{time_text(training['seconds'] / 60)}, mirrored, with varied body proportions",
+        **_compared_on(training),
         "training": f"preset `{training['preset']}`; {stages}; {whole} in all",
         "seed": str(training["seed"]),
         "network": f"{count:,} parameters, {weights_bytes / 1e6:.1f} MB in safetensors",
         "made with": packages,
     }
     return ["| | |", "|---|---|", *(f"| {key} | {text} |" for key, text in rows.items())]
+
+
+def _compared_on(training: dict[str, Any]) -> dict[str, str]:
+    """The row for ``--validation``, if the training had it."""
+    found = training.get("validation")
+    if not found:
+        return {}
+    return {"checkpoints compared on": f"`{found['motions']}`: {found['clips']} clips"}
 
 
 def comparison_lines(path: Path, training: Mapping[str, Any]) -> list[str]:
