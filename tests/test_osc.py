@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pythonosc.dispatcher import Dispatcher
+from pythonosc.osc_bundle_builder import OscBundleBuilder
+from pythonosc.osc_message_builder import OscMessageBuilder
 from pythonosc.osc_server import BlockingOSCUDPServer
 from pythonosc.udp_client import SimpleUDPClient
 
@@ -187,6 +189,34 @@ def test_rubbish_over_osc_is_counted_and_the_receiver_goes_on():
         client.send_message("/VMC/Ext/Hmd/Pos", ["head", 0.0, 1.7, 0.0, 0.0, 0.0, 0.0, 1.0])
         wait_for(lambda: len(frames) == 1)
     assert receiver.refused >= 2
+
+
+def bundle(time_s: float, address: str, values: list) -> bytes:
+    """A bundle of one message, to be taken at a Unix time."""
+    message = OscMessageBuilder(address)
+    for value in values:
+        message.add_arg(value)
+    builder = OscBundleBuilder(time_s)  # type: ignore[arg-type]
+    builder.add_content(message.build())  # type: ignore[arg-type]
+    return builder.build().dgram
+
+
+@pytest.mark.parametrize(
+    "datagram",
+    [
+        bundle(2.0e9, "/VMC/Ext/Con/Pos", ["left", 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
+        bundle(0.0, "/VMC/Ext/" + "*" * 3000 + "x/Pos", [1.0]),
+        b"#bundle\x00" + 8 * b"\x00" + b"\xff\xff\xff\xff",
+    ],
+    ids=["of the year 2033", "with an address of stars", "of an impossible size"],
+)
+def test_a_bundle_does_not_keep_the_receiver_from_the_next_message(datagram):
+    frames = []
+    with VmcReceiver(frames.append, port=0) as receiver:
+        client = SimpleUDPClient("127.0.0.1", receiver.port)
+        client._sock.sendto(datagram, ("127.0.0.1", receiver.port))
+        client.send_message("/VMC/Ext/Hmd/Pos", ["head", 0.0, 1.7, 0.0, 0.0, 0.0, 0.0, 1.0])
+        wait_for(lambda: len(frames) == 1)
 
 
 def test_pose_is_not_changed_by_sending_it():

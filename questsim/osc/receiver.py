@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from pythonosc.dispatcher import Dispatcher
+from pythonosc.dispatcher import Dispatcher, Handler
 from pythonosc.osc_server import BlockingOSCUDPServer
 
 from questsim.devices import DeviceFrame
@@ -24,6 +24,21 @@ MAX_PER_SECOND = 2000
 SILENT_S = 0.5
 """A device without a message for longer does not report."""
 _KINDS = ("Hmd", "Con", "Tra")
+
+
+class _Exactly(Dispatcher):
+    """Takes messages when they come, by their exact address.
+
+    python-osc's own dispatcher waits until the time of a bundle, which may be years ahead, and
+    makes a regular expression of each address, which may take hours to match. VMC needs neither.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(strict_timing=False)
+
+    def handlers_for_address(self, address_pattern: str) -> Iterator[Handler]:  # type: ignore[override]
+        """The handlers of this very address."""
+        yield from self._map.get(address_pattern, ())
 
 
 class VmcReceiver:
@@ -57,7 +72,7 @@ class VmcReceiver:
         self._local_s = -1.0
         self._budget, self._counted_s = float(MAX_PER_SECOND), time.monotonic()
         self.refused = 0
-        dispatcher = Dispatcher()
+        dispatcher = _Exactly()
         for kind in _KINDS:
             for ending in ("", "/Local"):
                 dispatcher.map(f"/VMC/Ext/{kind}/Pos{ending}", self._receive)
