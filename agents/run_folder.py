@@ -267,12 +267,13 @@ def check_same_run(
         if name.partition(".")[0] not in may_differ and value != before.get(name):
             what = f"--{name.replace('_', '-')} was {before.get(name)}, not {value}"
             raise InputError(what, out / RECORD, "use it again")
-    validation = record["data"].get("validation", {}), data.get("validation", {})
-    for which, (held, given) in {
-        "motions": (record["data"], data),
-        "validation clips": validation,
-    }.items():
-        if held.get("sha256") != given.get("sha256"):
+    known = record["data"]
+    digests = {
+        "motions": (known["sha256"], data["sha256"]),
+        "validation clips": tuple(d.get("validation", {}).get("sha256") for d in (known, data)),
+    }
+    for which, (held, given) in digests.items():
+        if held != given:
             what = f"the {which} differ from those at the start of this run"
             raise InputError(what, out / RECORD, f"name the same {which}, or another --out")
 

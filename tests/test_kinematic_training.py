@@ -255,7 +255,8 @@ def shipped(tmp_path_factory):
     """A tiny SparsePoser in ``run``, compared in ``scores`` and shipped to ``weights/feet``."""
     folder = tmp_path_factory.mktemp("shipped")
     motions = save_library_of(MOTION, folder / "motions.npz")
-    train_system(arguments("sparseposer", motions, folder / "run", steps=2, seed=3))
+    more = {"steps": 2, "seed": 3, "validation": motions}
+    train_system(arguments("sparseposer", motions, folder / "run", **more))
     agents, scores = (str(folder / "run"),), folder / "scores"
     compare(CompareArgs(agents=agents, motions=motions, out=scores, threads=1))
     report = scores / "comparison.json"
@@ -296,6 +297,8 @@ def test_a_run_and_its_card_record_the_shipped_system_it_started_from(
 def test_the_card_of_a_system_has_data_licence_command_seed_time_and_figures(shipped):
     card = (shipped / "weights" / "feet" / "README.md").read_text()
     assert "| licence | MIT |" in card and "| seed | 3 |" in card
+    assert "| checkpoints compared on | `runs/motions.npz`: 1 clips |" in card
+    assert str(shipped) not in card
     assert "generator 2 steps, 0 min; ik 2 steps, 0 min" in card
     command = next(line for line in card.splitlines() if line.startswith("python train.py"))
     assert "--agent sparseposer" in command and "--preset smoke" in command

@@ -95,6 +95,11 @@ def test_the_command_line_takes_a_part(mixture: Path) -> None:
         ("[[train]]\nmotions = 'synthetic:walk'\nkind = '{x}'", "", ["kind is '{x}'"]),
         ("[[train]]\nmotions = 'synthetic:walk'\nexclude_list = 'no.txt'", "", ["no.txt cannot"]),
         ("[[train]]\nmotions = 'other.toml'", "", ["names a mixture file"]),
+        (
+            "[[train]]\nmotions = 'synthetic:walk'\nlicence = 'CC-BY-4.0'",
+            "",
+            ["number 1: licence is CC-BY-4.0", "is MIT", "leave out"],
+        ),
         ("[[train]]\nmotions = 'nothing'", "", ["no motions 'nothing'"]),
         ("[[train]]\nmotions = 'synthetic:walk'", ":test", ["no part 'test'", "it has train"]),
         ("[[a]]\nmotions = 'x'\n[[b]]\nmotions = 'x'", "", ["several parts", ":a"]),
@@ -110,6 +115,17 @@ def test_a_faulty_mixture_is_refused_in_one_line(
     message = str(caught.value)
     assert "\n" not in message
     assert all(word in message for word in words), message
+
+
+def test_a_mixture_states_the_licence_of_files_that_state_none(tmp_path: Path) -> None:
+    write_amass(tmp_path / "mine.npz")
+    text = "[[train]]\nmotions = 'mine.npz'\n"
+    (tmp_path / "mixture.toml").write_text(text + "licence = 'CC-BY-4.0'")
+    (clip,) = load_motions(f"{tmp_path / 'mixture.toml'}")
+    (recording,) = load_recordings(f"{tmp_path / 'mixture.toml'}")
+    assert (clip.licence, recording.licence) == ("CC-BY-4.0", "CC-BY-4.0")
+    (tmp_path / "mixture.toml").write_text(text)
+    assert load_motions(f"{tmp_path / 'mixture.toml'}")[0].licence == ""
 
 
 def test_the_shipped_mixture_is_one() -> None:

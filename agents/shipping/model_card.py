@@ -10,6 +10,7 @@ from typing import Any
 from agents.licence import NON_COMMERCIAL, OURS
 from agents.policy.average import AVERAGED, listed
 from agents.policy.policy_agent import PolicyAgent
+from agents.shipping.portable import nameable
 from questsim.errors import InputError
 from questsim.evaluation_report import LABELS
 from questsim.metrics import SCHEMA, SCHEMA_VERSION
@@ -277,7 +278,7 @@ def _figures(metrics: Mapping[str, Any]) -> list[str]:
     heights = (context.get("config") or {}).get("heights")
     statures = "the clips' own statures" if heights is None else f"{heights[0]:g} m"
     lines = [
-        f"### {motions}, {metrics['all']['clips']} clips, {statures}",
+        f"### {nameable(motions)}, {metrics['all']['clips']} clips, {statures}",
         "",
         "Each clip runs once, from its first frame, without noise. *All* includes every clip until "
         "its fall.",

@@ -42,6 +42,11 @@ def portable(motions: str, names: Mapping[str, str]) -> str:
     return ",".join(names.get(file, file) + rest for file, rest in parts)
 
 
+def nameable(motions: str) -> str:
+    """A motion argument alone, as cards name it."""
+    return portable(motions, names_for_cards([motions]))
+
+
 def texts_of_files(args: Mapping[str, Any]) -> list[str]:
     """The options of a run that may name files."""
     return [args[name] for name in NAME_FILES if args.get(name) is not None]

@@ -19,7 +19,7 @@ from agents.licence import strictest
 from agents.resolve import base_of
 from agents.run_folder import read_run
 from agents.shipping.model_card import card_text, read_report, time_text
-from agents.shipping.portable import names_for_cards, portable, texts_of_files
+from agents.shipping.portable import nameable, names_for_cards, portable, texts_of_files
 from agents.shipping.provenance import options_of, run_of
 from questsim.errors import InputError
 
@@ -76,7 +76,11 @@ def system_provenance(folder: Path) -> dict[str, Any]:
     if start := record["args"].get("start"):
         before, name = _start_provenance(start, record.get("behind", {}).get("start"))
         words += ["--start", name]
+    compared = dict(training.get("validation", {}))
+    if compared:
+        compared["motions"] = portable(compared["motions"], files)
     return {
+        **({"validation": compared} if compared else {}),
         "commands": [*before["commands"], shlex.join(["python", "train.py", *words])],
         "stages": [*before["stages"], *stages],
         "licence": strictest([*training["licences"], *before["licences"]]),
@@ -190,7 +194,7 @@ def comparison_lines(path: Path, training: Mapping[str, Any]) -> list[str]:
     counts = {row["clips"] for row in rows}
     counted = f"{min(counts)}" if len(counts) == 1 else f"{min(counts)} or {max(counts)}"
     lines = [
-        f"### {data['motions']}, {counted} clips",
+        f"### {nameable(data['motions'])}, {counted} clips",
         "",
         "Streamed frame by frame; every frame has the same weight.",
         "",

@@ -35,6 +35,7 @@ class MixtureEntry:
         seed: of the drawing and of synthetic motions; by default that of the command.
         kind: the clips' kind of motion, by which ``--vary`` and ``sampling=kind`` balance. It may
             use ``{kind}``, ``{style}`` and ``{name}`` (without the numbers at its end).
+        licence: the licence of clips whose source states none, as an SPDX identifier.
     """
 
     motions: str
@@ -45,6 +46,7 @@ class MixtureEntry:
     count: int = 0
     seed: int | None = None
     kind: str = ""
+    licence: str = ""
 
 
 _TYPES: dict[str, type | tuple[type, ...]] = {
@@ -56,6 +58,7 @@ _TYPES: dict[str, type | tuple[type, ...]] = {
     "count": int,
     "seed": int,
     "kind": str,
+    "licence": str,
 }
 
 
@@ -147,7 +150,18 @@ def _choose(
         raise InputError("no clip is left", f"{path}: {where}", "check its include and exclude")
     if entry.kind:
         out = [replace(motion, kind=_kind(entry.kind, motion)) for motion in out]
+    if entry.licence:
+        _check_licence(out, entry.licence, f"{path}: {where}")
+        out = [replace(motion, licence=entry.licence) for motion in out]
     return out
+
+
+def _check_licence(found: Sequence[Clip | Motion], licence: str, where: str) -> None:
+    """Refuse to replace another licence that a source states."""
+    for motion in found:
+        if motion.licence not in ("", licence):
+            what = f"licence is {licence}, but that of {motion.name} is {motion.licence}"
+            raise InputError(what, where, "leave out the key licence")
 
 
 def _kind(pattern: str, motion: Clip | Motion) -> str:
