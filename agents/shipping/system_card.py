@@ -161,7 +161,7 @@ def _facts(system: KinematicSystem, training: Mapping[str, Any], weights_bytes: 
     return ["| | |", "|---|---|", *(f"| {key} | {text} |" for key, text in rows.items())]
 
 
-def _compared_on(training: dict[str, Any]) -> dict[str, str]:
+def _compared_on(training: Mapping[str, Any]) -> dict[str, str]:
     """The row for ``--validation``, if the training had it."""
     found = training.get("validation")
     if not found:
