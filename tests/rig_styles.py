@@ -7,7 +7,7 @@ from dataclasses import replace
 from rigs import Rig
 
 
-def _body(trunk: dict[str, str], arm: str, leg: str) -> dict[str, str]:
+def body(trunk: dict[str, str], arm: str, leg: str) -> dict[str, str]:
     """Our joints to names; ``arm`` and ``leg`` are four names each, "-" for a missing one."""
     limbs = dict(zip(("clavicle", "shoulder", "elbow", "wrist"), arm.split(), strict=True))
     limbs |= dict(zip(("hip", "knee", "ankle", "toe"), leg.split(), strict=True))
@@ -15,7 +15,7 @@ def _body(trunk: dict[str, str], arm: str, leg: str) -> dict[str, str]:
     return {joint: name.replace("~", " ") for joint, name in out.items()}
 
 
-def _spines(root: str, *names: str, neck: str = "Neck", head: str = "Head") -> dict[str, str]:
+def spines(root: str, *names: str, neck: str = "Neck", head: str = "Head") -> dict[str, str]:
     spine = {1: ("spine2",), 2: ("spine1", "spine2"), 3: ("spine1", "spine2", "spine3")}
     out = {"root": root} | dict(zip(spine.get(len(names), ()), names, strict=False))
     return out | ({"neck": neck} if neck else {}) | {"head": head}
@@ -28,41 +28,41 @@ FINGERS = tuple(
 )
 MIXAMO_ARM = "{}Shoulder {}Arm {}ForeArm {}Hand"
 MIXAMO_LEG = "{}UpLeg {}Leg {}Foot {}ToeBase"
-MIXAMO = _body(_spines("Hips", "Spine", "Spine1", "Spine2"), MIXAMO_ARM, MIXAMO_LEG)
+MIXAMO = body(spines("Hips", "Spine", "Spine1", "Spine2"), MIXAMO_ARM, MIXAMO_LEG)
 
 RIGS: dict[str, Rig] = {
     "Mixamo": Rig(MIXAMO, extra=FINGERS, namespace="mixamorig:"),
     "Rokoko": Rig(
-        _body(
-            _spines("Hips", "Spine1", "Spine2", "Spine4"), MIXAMO_ARM,
+        body(
+            spines("Hips", "Spine1", "Spine2", "Spine4"), MIXAMO_ARM,
             "{}Thigh {}Shin {}Foot {}Toe",
         ),
         extra=(("Spine3", "spine2", "", (0, 0, 0.05)),), between=("Spine3",), order="YXZ",
     ),
     "Xsens": Rig(
-        _body(
-            _spines("Hips", "Chest", "Chest2", "Chest4"),
+        body(
+            spines("Hips", "Chest", "Chest2", "Chest4"),
             "{}Collar {}Shoulder {}Elbow {}Wrist", "{}Hip {}Knee {}Ankle {}Toe",
         ),
         extra=(("Chest3", "spine2", "", (0, 0, 0.05)),), between=("Chest3",), order="YXZ",
     ),
     "Xsens segments": Rig(
-        _body(
-            _spines("Pelvis", "L5", "L3", "T8"),
+        body(
+            spines("Pelvis", "L5", "L3", "T8"),
             "{}Shoulder {}UpperArm {}Forearm {}Hand", "{}UpperLeg {}LowerLeg {}Foot {}Toe",
         ),
         extra=(("T12", "spine2", "", (0, 0, 0.05)),), between=("T12",), up="z", units="m",
     ),
     "Axis Neuron": Rig(
-        _body(
-            _spines("Hips", "Spine", "Spine1", "Spine3"), MIXAMO_ARM, "{}UpLeg {}Leg {}Foot -",
+        body(
+            spines("Hips", "Spine", "Spine1", "Spine3"), MIXAMO_ARM, "{}UpLeg {}Leg {}Foot -",
         ),
         extra=(("Spine2", "spine2", "", (0, 0, 0.05)), *FINGERS), between=("Spine2",),
         all_positions=True, order="YXZ", tips=False,
     ),
     "Character Creator": Rig(
-        _body(
-            _spines("CC_Base_Hip", "CC_Base_Waist", "CC_Base_Spine01", "CC_Base_Spine02",
+        body(
+            spines("CC_Base_Hip", "CC_Base_Waist", "CC_Base_Spine01", "CC_Base_Spine02",
                     neck="CC_Base_NeckTwist01", head="CC_Base_Head"),
             "CC_Base_{}_Clavicle CC_Base_{}_Upperarm CC_Base_{}_Forearm CC_Base_{}_Hand",
             "CC_Base_{}_Thigh CC_Base_{}_Calf CC_Base_{}_Foot CC_Base_{}_ToeBase",
@@ -83,8 +83,8 @@ RIGS: dict[str, Rig] = {
     ),
     "MotionBuilder": Rig(MIXAMO, namespace="Character1_", pose="own", rest_frame=True),
     "Rigify": Rig(
-        _body(
-            _spines("DEF-spine", "DEF-spine.001", "DEF-spine.002", "DEF-spine.003",
+        body(
+            spines("DEF-spine", "DEF-spine.001", "DEF-spine.002", "DEF-spine.003",
                     neck="DEF-spine.004", head="DEF-spine.006"),
             "DEF-shoulder.{} DEF-upper_arm.{} DEF-forearm.{} DEF-hand.{}",
             "DEF-thigh.{} DEF-shin.{} DEF-foot.{} DEF-toe.{}",
@@ -104,8 +104,8 @@ RIGS: dict[str, Rig] = {
         up="z", units="m", order="XYZ", pose="A",
     ),
     "MakeHuman": Rig(
-        _body(
-            _spines("root", "spine05", "spine03", "spine01", neck="neck01", head="head"),
+        body(
+            spines("root", "spine05", "spine03", "spine01", neck="neck01", head="head"),
             "clavicle.{} upperarm01.{} lowerarm01.{} wrist.{}",
             "upperleg01.{} lowerleg01.{} foot.{} toe1-1.{}",
         ),
@@ -124,8 +124,8 @@ RIGS: dict[str, Rig] = {
         units="dm", pose="A", order="XZY",
     ),
     "DAZ Genesis": Rig(
-        _body(
-            _spines("hip", "abdomenLower", "abdomenUpper", "chestUpper",
+        body(
+            spines("hip", "abdomenLower", "abdomenUpper", "chestUpper",
                     neck="neckLower", head="head"),
             "{}Collar {}ShldrBend {}ForearmBend {}Hand",
             "{}ThighBend {}Shin {}Foot {}Toe",
@@ -145,15 +145,15 @@ RIGS: dict[str, Rig] = {
         order="XYZ",
     ),
     "DAZ for Poser": Rig(
-        _body(
-            _spines("hip", "abdomen", "chest", neck="neck", head="head"),
+        body(
+            spines("hip", "abdomen", "chest", neck="neck", head="head"),
             "{}Collar {}Shldr {}ForeArm {}Hand", "{}Thigh {}Shin {}Foot -",
         ),
         sides=("l", "r"), units="inch",
     ),
     "3ds Max Biped": Rig(
-        _body(
-            _spines("Bip01 Pelvis", "Bip01 Spine", "Bip01 Spine1", "Bip01 Spine2",
+        body(
+            spines("Bip01 Pelvis", "Bip01 Spine", "Bip01 Spine1", "Bip01 Spine2",
                     neck="Bip01 Neck", head="Bip01 Head"),
             "Bip01~{}~Clavicle Bip01~{}~UpperArm Bip01~{}~Forearm Bip01~{}~Hand",
             "Bip01~{}~Thigh Bip01~{}~Calf Bip01~{}~Foot Bip01~{}~Toe0",
@@ -162,8 +162,8 @@ RIGS: dict[str, Rig] = {
         extra=(("Bip01 {} Finger0", "left_wrist", "", (0.02, 0.08, 0)),),
     ),
     "VRM": Rig(
-        _body(
-            _spines("J_Bip_C_Hips", "J_Bip_C_Spine", "J_Bip_C_Chest", "J_Bip_C_UpperChest",
+        body(
+            spines("J_Bip_C_Hips", "J_Bip_C_Spine", "J_Bip_C_Chest", "J_Bip_C_UpperChest",
                     neck="J_Bip_C_Neck", head="J_Bip_C_Head"),
             "J_Bip_{}_Shoulder J_Bip_{}_UpperArm J_Bip_{}_LowerArm J_Bip_{}_Hand",
             "J_Bip_{}_UpperLeg J_Bip_{}_LowerLeg J_Bip_{}_Foot J_Bip_{}_ToeBase",
@@ -172,15 +172,15 @@ RIGS: dict[str, Rig] = {
         extra=(("J_Adj_{}_FaceEye", "head", "", (0.08, 0.03, 0.05)),),
     ),
     "Unity humanoid": Rig(
-        _body(
-            _spines("Hips", "Spine", "Chest", "UpperChest"),
+        body(
+            spines("Hips", "Spine", "Chest", "UpperChest"),
             "{}Shoulder {}UpperArm {}LowerArm {}Hand", "{}UpperLeg {}LowerLeg {}Foot {}Toes",
         ),
         units="m", pose="A",
     ),
     "Unreal mannequin": Rig(
-        _body(
-            _spines("pelvis", "spine_01", "spine_02", "spine_03", neck="neck_01", head="head"),
+        body(
+            spines("pelvis", "spine_01", "spine_02", "spine_03", neck="neck_01", head="head"),
             "clavicle_{} upperarm_{} lowerarm_{} hand_{}", "thigh_{} calf_{} foot_{} ball_{}",
         ),
         sides=("l", "r"), up="z", pose="A", above_hips=("root",),
@@ -189,8 +189,8 @@ RIGS: dict[str, Rig] = {
                ("ik_head", "head", "", (0, 0, 0))),
     ),
     "SMPL-X": Rig(
-        _body(
-            _spines("pelvis", "spine1", "spine2", "spine3", neck="neck", head="head"),
+        body(
+            spines("pelvis", "spine1", "spine2", "spine3", neck="neck", head="head"),
             "{}_collar {}_shoulder {}_elbow {}_wrist", "{}_hip {}_knee {}_ankle {}_foot",
         ),
         sides=("left", "right"), units="m", up="z",
@@ -199,8 +199,8 @@ RIGS: dict[str, Rig] = {
                ("jaw", "head", "", (0.03, 0, 0))),
     ),
     "SOMA": Rig(
-        _body(
-            _spines("Hips", "Spine1", "Spine2", "Chest", neck="Neck1"), MIXAMO_ARM,
+        body(
+            spines("Hips", "Spine1", "Spine2", "Chest", neck="Neck1"), MIXAMO_ARM,
             "{}Leg {}Shin {}Foot {}ToeBase",
         ),
         extra=(("Neck2", "neck", "", (0, 0, 0.04)), ("HeadEnd", "head", "", (0, 0, 0.18)),
@@ -209,52 +209,52 @@ RIGS: dict[str, Rig] = {
         between=("Neck2",), above_hips=("Root",), pose="A",
     ),
     "short names": Rig(
-        _body(
-            _spines("root", "lowerback", "upperback", neck="neck", head="head"),
+        body(
+            spines("root", "lowerback", "upperback", neck="neck", head="head"),
             "- {}shoulder {}elbow {}wrist", "{}hip {}knee {}ankle {}toe",
         ),
         sides=("l", "r"), pose="I", units="m",
     ),
     "Kinect": Rig(
-        _body(
-            _spines("SpineBase", "SpineMid", "SpineShoulder"),
+        body(
+            spines("SpineBase", "SpineMid", "SpineShoulder"),
             "- Shoulder{} Elbow{} Wrist{}", "Hip{} Knee{} Ankle{} Foot{}",
         ),
         units="m", extra=(("HandTip{}", "left_wrist", "", (0, 0.15, 0)),),
     ),
     "Biovision": Rig(
-        _body(
-            _spines("Hips", "Chest"), "{}Collar {}UpArm {}LowArm {}Hand",
+        body(
+            spines("Hips", "Chest"), "{}Collar {}UpArm {}LowArm {}Hand",
             "{}UpLeg {}LowLeg {}Foot -",
         ),
         pose="I", units="inch",
     ),
     "MikuMikuDance": Rig(
-        _body(
-            _spines("センター", "上半身", "上半身2", neck="首", head="頭"),
+        body(
+            spines("センター", "上半身", "上半身2", neck="首", head="頭"),
             "{}肩 {}腕 {}ひじ {}手首", "{}足 {}ひざ {}足首 {}つま先",
         ),
         sides=("左", "右"), pose="A", encoding="shift_jis",
         extra=(("{}腕捩", "left_shoulder", "", (0, 0.14, 0)),),
     ),
     "OptiTrack Motive": Rig(
-        _body(
-            _spines("Hip", "Ab", "Chest"), "{}Shoulder {}UArm {}FArm {}Hand",
+        body(
+            spines("Hip", "Ab", "Chest"), "{}Shoulder {}UArm {}FArm {}Hand",
             "{}Thigh {}Shin {}Foot {}Toe",
         ),
         sides=("L", "R"), units="m",
     ),
     "Second Life": Rig(
-        _body(
-            _spines("mPelvis", "mTorso", "mChest", neck="mNeck", head="mHead"),
+        body(
+            spines("mPelvis", "mTorso", "mChest", neck="mNeck", head="mHead"),
             "mCollar{} mShoulder{} mElbow{} mWrist{}", "mHip{} mKnee{} mAnkle{} mToe{}",
         ),
         units="m", up="z", extra=(("mFoot{}", "left_ankle", "", (0.05, 0, -0.03)),),
         between=("mFoot{}",),
     ),
     "DeepMotion": Rig(
-        _body(
-            _spines("hips_JNT", "spine_JNT", "spine1_JNT", "spine2_JNT", neck="neck_JNT",
+        body(
+            spines("hips_JNT", "spine_JNT", "spine1_JNT", "spine2_JNT", neck="neck_JNT",
                     head="head_JNT"),
             "{}_shoulder_JNT {}_arm_JNT {}_forearm_JNT {}_hand_JNT",
             "{}_upleg_JNT {}_leg_JNT {}_foot_JNT {}_toebase_JNT",
@@ -263,8 +263,8 @@ RIGS: dict[str, Rig] = {
         pose="own",
     ),
     "Chinese names": Rig(
-        _body(
-            _spines("骨盆", "脊椎", "脊椎1", neck="颈", head="头"),
+        body(
+            spines("骨盆", "脊椎", "脊椎1", neck="颈", head="头"),
             "{}锁骨 {}上臂 {}前臂 {}手", "{}大腿 {}小腿 {}脚 {}脚趾",
         ),
         sides=("左", "右"),
@@ -275,8 +275,8 @@ RIGS: dict[str, Rig] = {
     "own axes, z up": Rig(MIXAMO, pose="own", up="z", units="m"),
     "z up with known names": Rig(MIXAMO | {"left_toe": "{}Toe"}, up="z", units="m"),
     "100STYLE": Rig(
-        _body(
-            _spines("Hips", "Chest", "Chest2", "Chest4"),
+        body(
+            spines("Hips", "Chest", "Chest2", "Chest4"),
             "{}Collar {}Shoulder {}Elbow {}Wrist", "{}Hip {}Knee {}Ankle {}Toe",
         ),
         extra=(("Chest3", "spine2", "", (0, 0, 0.05)),), between=("Chest3",), order="YXZ",

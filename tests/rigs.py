@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from questsim import rotations as rot
 from questsim.motion.convert import world_axes
 from questsim.motion.motion import Motion
 from questsim.skeleton import JOINT_PARENTS, JOINTS
@@ -27,6 +28,8 @@ OFFSETS: dict[str, tuple[float, float, float]] = {
     "left_elbow": (0, 0.29, 0), "left_wrist": (0, 0.26, 0),
 }  # fmt: skip
 TIPS = {"toe": (0.07, 0.0, -0.02), "wrist": (0.0, 0.17, 0.0), "head": (0.0, 0.0, 0.18)}
+CARRIED = np.array([0.01, 0.0, -0.04])
+"""Metres from a carrier to the hips."""
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "dm": 0.1}
 
 
@@ -52,6 +55,14 @@ class Rig:
         all_positions: whether every joint has position channels.
         tips: whether End Sites say where bones end.
         above_hips: names of joints above the hips that do not move.
+        carrier: the joint above the hips that has the motion's place and turn; the hips hang on
+            it and have rotation channels only.
+        props: joints that hang on the top joint beside the body, metres from it.
+        orders: orders of the rotation channels that the joints take in turn; else all ``order``.
+        turns_first: whether rotation channels come before position channels.
+        facing: heading of the whole motion in degrees.
+        stands: whether the performer stands and gestures instead of walking.
+        seed: of the joints' own axes.
     """
 
     joints: dict[str, str]
@@ -69,6 +80,13 @@ class Rig:
     all_positions: bool = False
     tips: bool = True
     above_hips: tuple[str, ...] = ()
+    carrier: str = ""
+    props: tuple[tuple[str, tuple[float, float, float]], ...] = ()
+    orders: tuple[str, ...] = ()
+    turns_first: bool = False
+    facing: float = 0.0
+    stands: bool = False
+    seed: int = 5
     encoding: str = "utf-8"
     namespace: str = ""
     frames: int = 48
@@ -93,12 +111,14 @@ def true_motion(rig: Rig) -> Motion:
     def at(joint: str) -> int:
         return JOINTS.index(joint)
 
-    turns[:, at("root")] = np.stack([0.03 * np.sin(phase), 0 * t + 0.04, 0.2 + 0.4 * t], axis=-1)
+    turn = 0.2 + (0.0 if rig.stands else 0.4) * t
+    turns[:, at("root")] = np.stack([0.03 * np.sin(phase), 0 * t + 0.04, turn], axis=-1)
     for side, sign in (("left", 1.0), ("right", -1.0)):
-        swing = sign * np.sin(phase)
+        swing = (0.05 if rig.stands else 1.0) * sign * np.sin(phase)
         turns[:, at(f"{side}_hip"), 1] = -0.1 - 0.45 * swing
-        turns[:, at(f"{side}_knee"), 1] = 0.5 + 0.4 * np.sin(phase * 1.0 + sign)
-        turns[:, at(f"{side}_ankle"), 1] = -0.35 + 0.45 * swing - 0.4 * np.sin(phase + sign)
+        bend = np.full(len(t), -0.3) if rig.stands else 0.4 * np.sin(phase + sign)
+        turns[:, at(f"{side}_knee"), 1] = 0.5 + bend
+        turns[:, at(f"{side}_ankle"), 1] = -0.35 + 0.45 * swing - bend
         turns[:, at(f"{side}_toe"), 1] = -0.1
         turns[:, at(f"{side}_clavicle"), 0] = sign * 0.05 * swing
         turns[:, at(f"{side}_shoulder")] = Rotation.from_euler(
@@ -119,14 +139,17 @@ def true_motion(rig: Rig) -> Motion:
         [np.array(OFFSETS[j.replace("right_", "left_")]) * _mirror(j) for j in JOINTS]
     )
     quat = Rotation.from_rotvec(turns.reshape(-1, 3)).as_quat(scalar_first=True)
-    heading = np.cumsum(np.stack([np.cos(0.2 + 0.4 * t), np.sin(0.2 + 0.4 * t), 0 * t], -1), 0)
+    heading = np.cumsum(np.stack([np.cos(turn), np.sin(turn), 0 * t], -1), 0) * (not rig.stands)
     motion = Motion(
         "truth", rig.fps, 1.1 / rig.fps * heading, quat.reshape(*turns.shape[:2], 4), offsets
     )
     lowest = motion.forward_kinematics()[0][..., 2].min(axis=1)
     root = motion.root_position.copy()
     root[:, 2] = -lowest + 0.03
-    return Motion("truth", rig.fps, root, motion.rotations, offsets)
+    turned = motion.rotations.copy()
+    facing = Rotation.from_euler("z", rig.facing, degrees=True)
+    turned[:, 0] = rot.as_quat(facing * rot.as_rotation(turned[:, 0]))
+    return Motion("truth", rig.fps, facing.apply(root), turned, offsets)
 
 
 def _mirror(joint: str) -> np.ndarray:
@@ -156,6 +179,11 @@ def _rows(rig: Rig) -> list[_Row]:
 
     for name in rig.above_hips:
         add(name, len(rows) - 1, "still", np.zeros(3))
+    for name, place in rig.props:
+        add(name, 0, "still", np.array(place))
+    top = len(rig.above_hips) - 1
+    if rig.carrier:
+        top = add(rig.carrier, top, "carrier", np.zeros(3))
     for joint in JOINTS:
         left = joint.replace("right_", "left_")
         if left not in rig.joints:
@@ -170,7 +198,7 @@ def _rows(rig: Rig) -> list[_Row]:
                 break
             above = parent
         if joint == "root":
-            number[joint] = add(rig.joints["root"], len(rows) - 1, joint, np.zeros(3))
+            number[joint] = add(rig.joints["root"], top, joint, CARRIED * bool(rig.carrier))
         else:
             holder = held.get(parent, number[parent])
             # A link between the two has taken part of the way.
@@ -200,7 +228,7 @@ def write_rig(path: Path, rig: Rig) -> Motion:
     zero = zero * Rotation.from_euler("ZY", [rig.rest_yaw, rig.rest_pitch], degrees=True)
     rest = _rest(rig)
     rows = _rows(rig)
-    rng = np.random.default_rng(5)
+    rng = np.random.default_rng(rig.seed)
     own: list[Rotation] = []  # each file joint's frame in our joint's
     for row in rows:
         follows = rest.get(row.follows, Rotation.identity())
@@ -208,47 +236,61 @@ def write_rig(path: Path, rig: Rig) -> Motion:
         if rig.pose == "own" and row.parent >= 0:
             frame = frame * Rotation.from_quat(rng.normal(size=4))
         own.append(frame if row.follows != "still" else Rotation.identity())
-    turned, places = [], []
+    turned = []
     for row, frame in zip(rows, own, strict=True):
         if row.follows == "still":
             turned.append(Rotation.identity(len(motion)))
         else:
-            ours = Rotation.from_quat(quat[:, JOINTS.index(row.follows)], scalar_first=True)
+            follows = row.follows if row.follows in JOINTS else "root"
+            ours = Rotation.from_quat(quat[:, JOINTS.index(follows)], scalar_first=True)
             turned.append(world * ours * frame)
-    columns, header = _text(rig, rows, own, turned, world.apply(position[:, 0]), places)
+    hips = position[:, 0]
+    if rig.carrier:
+        hips = hips - Rotation.from_quat(quat[:, 0], scalar_first=True).apply(CARRIED)
+    columns, header = _text(rig, rows, own, turned, world.apply(hips))
     lines = [*header, "MOTION", f"Frames: {len(motion)}", f"Frame Time: {1 / rig.fps:.7f}"]
     lines += [" ".join(f"{value:.6f}" for value in row) for row in np.concatenate(columns, axis=1)]
     path.write_bytes(("\n".join(lines) + "\n").encode(rig.encoding))
     return motion
 
 
-def _text(rig, rows, own, turned, hips, _) -> tuple[list[np.ndarray], list[str]]:
+def _text(
+    rig: Rig,
+    rows: list[_Row],
+    own: list[Rotation],
+    turned: list[Rotation],
+    moved: np.ndarray,
+) -> tuple[list[np.ndarray], list[str]]:
+    """The frames' columns and the hierarchy's lines; ``moved`` ``(T, 3)`` is the body's place."""
     unit = METRES[rig.units]
     columns: list[np.ndarray] = []
     header = ["HIERARCHY"]
-    axes = {"X": "Xposition", "Y": "Yposition", "Z": "Zposition"}
-    turns = " ".join(f"{letter}rotation" for letter in rig.order)
+    orders = rig.orders or (rig.order,)
 
     def write(number: int) -> None:
         row = rows[number]
         parent = row.parent
+        moves = row.follows == ("carrier" if rig.carrier else "root")
         offset = np.zeros(3)
-        if parent >= 0 and row.follows != "still":
+        if parent >= 0:
             offset = own[parent].inv().apply(row.offset) / unit
-        root = row.follows == "root"
-        if root and parent >= 0:
-            offset = hips[0] / unit
+        if moves and parent >= 0:
+            offset = moved[0] / unit
         header.append(f"{'ROOT' if parent < 0 else 'JOINT'} {rig.namespace}{row.name}")
         header.append("{")
         header.append("OFFSET " + " ".join(f"{value:.6f}" for value in offset))
-        with_position = root or parent < 0 or rig.all_positions
-        given = f"6 {' '.join(axes.values())} {turns}" if with_position else f"3 {turns}"
-        header.append(f"CHANNELS {given}")
-        if with_position:
-            where = hips / unit if root else np.tile(offset, (len(hips), 1))
-            columns.append(where)
+        order = orders[number % len(orders)]
+        parts = [[f"{letter}rotation" for letter in order]]
         local = turned[number] if parent < 0 else turned[parent].inv() * turned[number]
-        columns.append(local.as_euler(rig.order, degrees=True))
+        values = [local.as_euler(order, degrees=True)]
+        if moves or parent < 0 or rig.all_positions:
+            parts.insert(0, [f"{letter}position" for letter in "XYZ"])
+            values.insert(0, moved / unit if moves else np.tile(offset, (len(moved), 1)))
+        if rig.turns_first:
+            parts, values = parts[::-1], values[::-1]
+        names = [name for part in parts for name in part]
+        header.append(f"CHANNELS {len(names)} {' '.join(names)}")
+        columns.extend(values)
         children = [i for i, other in enumerate(rows) if other.parent == number]
         for child in children:
             write(child)

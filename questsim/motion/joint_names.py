@@ -8,6 +8,7 @@ give a side and, by part of the body, how well the name fits each role.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -75,16 +76,23 @@ NECK = re.compile(r"neck|cervical|首|颈")
 HEAD = re.compile(r"head|skull|kopf|頭|头")
 
 _OUT = re.compile(
-    r"thumb|index|middle|ring|pinky|pinkie|little|finger|metacarp|carpal|metatars|nub$|eye|jaw|"
+    r"thumb|index|ring|pinky|pinkie|little|finger|metacarp|carpal|metatars|nub$|eye|jaw|"
     r"tongue|teeth|hair|breast|pectoral|helper|pole|ctrl|control|tail|weapon|prop|socket|heel|toe"
     r"nail|bigtoe|midtoe|dummy|camera|genital|glute|指|髪|目"
 )
 _OUT_WORDS = {
     "ear", "lip", "lid", "brow", "nose", "cheek", "mouth", "ik", "fk", "mid", "end", "tip", "top",
-    "site", "eff", "effector", "target", "twist", "roll", "share", "捩", "null", "face",
-    "chin", "skirt", "cloth", "hat",
+    "site", "eff", "effector", "ee", "leaf", "attachment", "locator", "grip", "target", "twist",
+    "roll", "share", "捩", "null", "face", "chin", "skirt", "cloth", "hat", "inner",
+    "outer", "out", "fwd", "bck", "corrective",
 }  # fmt: skip
-_OUT_WORDS_OF_TRUNK = {"end", "tip", "top", "site", "eff", "effector", "ik", "face", "nose", "ear"}
+_OUT_WORDS_OF_TRUNK = {
+    "end", "tip", "top", "site", "eff", "effector", "leaf", "ik", "face", "nose", "ear"
+}  # fmt: skip
+SHARED = 0.8
+"""A first word that this share of the names has is the performer's or the producer's."""
+MAX_SHARED = 4
+MIN_NAMES = 10
 
 
 @dataclass(frozen=True)
@@ -105,11 +113,34 @@ class Name:
 def understand(names: Sequence[str]) -> list[Name]:
     """Side, words and use of each joint's name."""
     everything = {name.lower() for name in names}
-    return [_understand(name, everything) for name in names]
+    cut = _without_prefix([_words(name, everything) for name in names])
+    return [_understand(name, words, everything) for name, words in zip(names, cut, strict=True)]
 
 
-def _understand(name: str, everything: set[str]) -> Name:
-    words = [word.lower() for word in _WORD.findall(name.rpartition(":")[2])]
+def _words(name: str, everything: set[str]) -> list[str]:
+    """The words of a name in lower case; LFArm is L, FArm if there is an RFArm."""
+    out: list[str] = []
+    for word in _WORD.findall(name.rpartition(":")[2]):
+        lower = word.lower()
+        if lower == "lf" and name.lower().replace("lf", "rf", 1) in everything:
+            out += ["l", "f"]
+        else:
+            out.append(lower)
+    return out
+
+
+def _without_prefix(words: list[list[str]]) -> list[list[str]]:
+    """The words without first ones that nearly all names share: Footman_LeftArm has no foot."""
+    for _ in range(MAX_SHARED if len(words) >= MIN_NAMES else 0):
+        first = Counter(name[0] for name in words if len(name) > 1)
+        word, count = first.most_common(1)[0] if first else ("", 0)
+        if count < SHARED * len(words) or word in _SIDES:
+            break
+        words = [name[1:] if len(name) > 1 and name[0] == word else name for name in words]
+    return words
+
+
+def _understand(name: str, words: list[str], everything: set[str]) -> Name:
     # In Japanese the side is the first letter; in names such as lfemur too, if there is rfemur.
     apart: list[str] = []
     for word in words:
@@ -123,7 +154,7 @@ def _understand(name: str, everything: set[str]) -> Name:
         side, rest = _glued_side(name, rest, everything)
     key = "".join(rest)
     out_words = _OUT_WORDS if side else _OUT_WORDS_OF_TRUNK
-    part = not _OUT.search(key) and not out_words & set(rest)
+    part = not (_OUT.search(key) or out_words & set(rest) or (side and "middle" in key))
     return Name(side, key, part)
 
 

@@ -31,6 +31,9 @@ MIN_FOOT_ANGLE = np.radians(25.0)
 """The end of a foot that lies in the shin's line within this angle is under the ankle, no toe."""
 HELPER = 0.01
 """Decides between joints that fit equally well."""
+APPENDAGE = 0.3
+HUMAN = 0.4
+"""Logarithm of the largest ratio of thigh and shin, or arm and forearm, that is not unusual."""
 END = " End Site"
 MAPPING = "name the joints in a mapping file ('questsim motions mapping' writes a start)"
 
@@ -267,13 +270,37 @@ def _points(tree: _Tree, usable: tuple[int, ...], chosen: dict[str, int], part: 
     lower = tree.length(chosen[middle], chosen[far])
     if min(upper, lower) <= 1e-9:
         return -1.0 + score
-    score -= min(2.0 * abs(np.log(upper / lower)), 3.0)
+    score -= _unlike(float(abs(np.log(upper / lower))))
     if "toe" in chosen:
         foot = tree.length(chosen["ankle"], chosen["toe"]) / lower
         score -= 0.0 if 0.1 < foot < 0.9 else 0.7
     if "clavicle" in chosen:
         score -= 0.0 if tree.length(chosen["clavicle"], chosen["shoulder"]) < upper else 0.7
+    score -= APPENDAGE * _appendages(tree, usable, chosen)
     return score - HELPER * _helpers(tree, usable, chosen)
+
+
+def _unlike(difference: float) -> float:
+    """Points lost for bones whose lengths differ by that logarithm.
+
+    Within what people and their skeletons have, names decide.
+    """
+    return min(0.2 * difference + 2.0 * max(difference - HUMAN, 0.0), 3.0)
+
+
+def _appendages(tree: _Tree, usable: tuple[int, ...], chosen: dict[str, int]) -> int:
+    """How many chosen joints have the name of one above them and more: HandGun of Hand."""
+    taken = set(chosen.values())
+    return sum(
+        any(
+            tree.names[above].key
+            and tree.names[joint].key != tree.names[above].key
+            and tree.names[joint].key.startswith(tree.names[above].key)
+            for above in usable[: usable.index(joint)]
+            if above not in taken
+        )
+        for joint in taken
+    )
 
 
 def _helpers(tree: _Tree, usable: tuple[int, ...], chosen: dict[str, int]) -> int:

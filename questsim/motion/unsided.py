@@ -39,6 +39,8 @@ MIN_FOOT, MAX_FOOT = 0.1, 0.9
 """Length of a foot as a share of its shin."""
 MIN_LIMB = 0.45
 """The two longest bones are at least this share of a limb up to its toes or finger tips."""
+LOWER = 0.9
+"""Length of shin and thigh, and of forearm and upper arm, as a ratio."""
 MAX_STRAIGHT = np.radians(3.0)
 """A joint of a split limb at which it never bends by more is within a bone."""
 SIGNS = ("feet", "knees", "travel")
@@ -107,7 +109,9 @@ def find_limbs(recording: Recording, fix: str, sides: Sequence[str] = ()) -> Lim
     vote = _vote(front)
     across = [rot.unit(position[:, a[1]] - position[:, b[1]]) for a, b in (legs, arms)]
     same = float(np.sum(across[0] * across[1], axis=-1).mean())
-    if vote == 0.0 or abs(same) < CERTAIN:
+    if vote and abs(same) < CERTAIN:
+        raise refuse("hips and shoulders do not lie side by side: left and right arm are unknown")
+    if vote == 0.0:
         said = ", ".join(f"{s} {c:+.2f}" for s, c in zip(SIGNS, front, strict=True))
         raise refuse(f"the front is not certain (cosines of {said}; two must agree)")
     joints = _sided(legs, vote < 0, length, legs=True)
@@ -181,9 +185,18 @@ def _pairs(parents: Sequence[int], length: np.ndarray) -> list[_Pair]:
 
 
 def _limb(chain: list[int], length: np.ndarray) -> list[int]:
-    """The chain from the joint before its two longest consecutive bones on; -1 if there is none."""
-    shorter = [min(length[chain[i + 1]], length[chain[i + 2]]) for i in range(len(chain) - 2)]
-    first = int(np.argmax(shorter))
+    """The chain from the joint before thigh or upper arm on; -1 if there is none.
+
+    Thigh and shin, or upper arm and forearm, are the consecutive bones that are long together and
+    about equal: a long collarbone and a short forearm must not be taken for them.
+    """
+    bones = [length[chain[i + 1 : i + 3]] for i in range(len(chain) - 2)]
+    fit = [
+        np.log(max(upper + lower, 1e-9))
+        - 0.5 * abs(np.log(max(lower, 1e-9) / max(upper, 1e-9) / LOWER))
+        for upper, lower in bones
+    ]
+    first = int(np.argmax(fit))
     return [chain[first - 1] if first else -1, *chain[first:]]
 
 
