@@ -50,3 +50,13 @@ def test_a_performers_name_before_all_joints_is_no_part_of_the_body():
         names = understand([f"{performer}_{joint}" for joint in [*joints, "RightLeg", "LeftFoot"]])
         assert all(name.part for name in names)
         assert [name.key for name in names[:6]] == ["hips", "spine", "chest", "neck", "head", "arm"]
+
+
+def test_a_vertebra_is_of_no_side_and_a_numbered_bone_is():
+    trunk = ["Fred_L5", "Fred_L3", "Fred_T8", "Fred_Head", "Fred_Neck"]
+    limbs = [f"Fred_{side}{part}" for side in "LR" for part in ("Arm", "Leg", "Foot", "Hand")]
+    names = understand([*trunk, *limbs])
+    assert [name.side for name in names] == [""] * 5 + ["left"] * 4 + ["right"] * 4
+    assert {n.side for n in understand([f"Bone_{s}{i}" for s in "LR" for i in range(9)])} == {
+        "left", "right"
+    }  # fmt: skip

@@ -147,7 +147,7 @@ def _understand(name: str, words: list[str], everything: set[str]) -> Name:
         apart += [word[0], word[1:]] if word[0] in "左右" and len(word) > 1 else [word]
     side = next((_SIDES[word] for word in apart if word in _SIDES), "")
     rest = [word for word in apart if word not in _SIDES and not word.isdigit()]
-    if side and not rest:
+    if side and not rest and not _has_counterpart(name, everything):
         # Vertebrae are called L5 and L3.
         side, rest = "", apart
     if not side and rest:
@@ -156,6 +156,18 @@ def _understand(name: str, words: list[str], everything: set[str]) -> Name:
     out_words = _OUT_WORDS if side else _OUT_WORDS_OF_TRUNK
     part = not (_OUT.search(key) or out_words & set(rest) or (side and "middle" in key))
     return Name(side, key, part)
+
+
+def _has_counterpart(name: str, everything: set[str]) -> bool:
+    """Whether there is the same name with the other side."""
+    lower = name.lower()
+    swapped = (
+        re.sub(rf"(?<![a-z]){word}(?![a-z])", other, lower)
+        for word, side in _SIDES.items()
+        for other, their in _SIDES.items()
+        if side != their
+    )
+    return any(other != lower and other in everything for other in swapped)
 
 
 def _glued_side(name: str, words: list[str], everything: set[str]) -> tuple[str, list[str]]:
