@@ -13,12 +13,16 @@ import pytest
 
 import envs  # noqa: F401  # registers the ids
 from agents.agent import Needs, RandomAgent, ZeroAgent
+from agents.commands.evaluate import evaluate as evaluate_command
+from agents.evaluation.options import EvaluateArgs
 from agents.evaluation.rollout import env_config, roll_out
+from agents.follower.engines import TorqueEngine
 from agents.policy.checkpoint import load_policy, save_policy
 from agents.policy.policy_agent import PolicyAgent, new_policy
 from agents.policy.spec import Layout, PolicySpec
 from agents.training import train_policy
 from agents.training.options import TrainArgs
+from agents.training.training_clips import load_clips
 from envs.config import EnvConfig
 from envs.core import BatchSim
 from envs.objects import objects_named
@@ -322,6 +326,37 @@ def test_a_training_says_how_to_film_a_body_that_the_page_cannot_show(tmp_path, 
     theirs = train_policy._outcome(TrainArgs(tmp_path, body=GYMNASIUM))
     assert "questsim play" in ours and "questsim play" not in theirs
     assert theirs.endswith(f"--out {tmp_path}/scores --video")
+
+
+@pytest.mark.parametrize(
+    ("given", "what"),
+    [
+        ({"assist": 100.0}, "--assist: .*its forces are made for our avatar's legs and trunk"),
+        ({"save_motion": "bvh"}, "--save-motion: .*these files have our avatar's skeleton"),
+        ({"own_proportions": True}, "--own-proportions: .*the body keeps its own proportions"),
+    ],
+)
+def test_an_evaluation_says_why_an_option_is_our_avatars_alone(given, what, tmp_path):
+    args = EvaluateArgs(agent="zero", body=GYMNASIUM, out=tmp_path / "scores", **given)
+    with pytest.raises(InputError, match=what) as refused:
+        evaluate_command(args)
+    assert "\n" not in str(refused.value) and not (tmp_path / "scores").exists()
+
+
+def test_a_training_of_another_body_refuses_the_performers_proportions(tmp_path):
+    args = TrainArgs(tmp_path / "run", body=GYMNASIUM, own_proportions=True)
+    with pytest.raises(InputError, match="--own-proportions: does not go with a body of your own"):
+        load_clips(args)
+
+
+def test_a_stream_refuses_a_policy_of_another_body_before_it_begins(walk):
+    own = read_body(GYMNASIUM)
+    sim = BatchSim([walk], EnvConfig(body=own), 1)
+    spec = PolicySpec(hidden=(8,), critic_blocks=())
+    policy = new_policy(spec, Layout.of(sim.layout), hinges=17)
+    sim.close()
+    with pytest.raises(InputError, match="'gymnasium-humanoid', and a device stream drives only"):
+        TorqueEngine(PolicyAgent(policy, Needs(body=own), "mine"))
 
 
 def robot_with(folder: Path, old: str, new: str) -> str:

@@ -121,13 +121,21 @@ def _refuse_unused(args: EvaluateArgs, options: Sequence[str]) -> None:
             raise InputError(f"does not go with {args.agent}", flag, "leave it out")
 
 
+_OF_OUR_AVATAR = {
+    "assist": "its forces are made for our avatar's legs and trunk",
+    "save_motion": "these files have our avatar's skeleton",
+    "own_proportions": "the body keeps its own proportions",
+}
+"""Options that a body of the user's own does not have, each with the reason."""
+
+
 def _refuse_own_body(args: EvaluateArgs, config: EnvConfig) -> None:
     """Refuse options that only our avatar has."""
-    for option in ("assist", "save_motion", "own_proportions"):
+    for option, reason in _OF_OUR_AVATAR.items():
         given = getattr(args, option)
         if config.body is not None and given is not None and given is not False:
             raise InputError(
-                "does not go with a body of your own",
+                f"does not go with a body of your own: {reason}",
                 f"--{option.replace('_', '-')}",
                 "leave it out",
             )

@@ -184,7 +184,7 @@ class TorqueEngine(SimulatedEngine):
         scene: the ground and objects.
 
     Raises:
-        InputError: the agent has inputs that no device reports.
+        InputError: the agent has inputs that no device reports, or another body than the avatar.
     """
 
     rate_hz = FPS
@@ -201,6 +201,13 @@ class TorqueEngine(SimulatedEngine):
                 f"{agent.name} reads the user's whole body, which no device reports",
                 "Follower",
                 f"name a kinematic system followed by {PHYSICS}",
+            )
+        if needs.body is not None:
+            raise InputError(
+                f"was trained for the body {needs.body.name!r}, and a device stream drives only "
+                "the avatar",
+                agent.name,
+                "film it with questsim evaluate --video",
             )
         config = EnvConfig(
             sensors=sensors or needs.sensors,

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agents.kinematic.scenario import SIX_TRACKERS, Scenario
+from agents.kinematic.user_body import UserBody
 from questsim.errors import InputError
 from questsim.joint_sensors import (
     SENSOR_FPS,
@@ -28,7 +29,6 @@ from questsim.joint_sensors import (
     joint_poses,
     mount,
 )
-from questsim.motion.checks import stature_of
 from questsim.motion.motion import Motion, joint_kinematics
 from questsim.sensors import DEVICES, sensor_set
 from questsim.skeleton import NUM_JOINTS
@@ -36,29 +36,6 @@ from questsim.skeleton import NUM_JOINTS
 MAX_GAP_S = 0.5
 """Longest gap in a stream in s that is bridged; after a longer one the system restarts."""
 UNIT_TOLERANCE = 1e-2
-
-
-@dataclass(frozen=True)
-class UserBody:
-    """The user's body.
-
-    Attributes:
-        offsets: ``(22, 3)`` position of each joint in its parent's frame, as in ``Motion``.
-    """
-
-    offsets: np.ndarray
-
-    def __post_init__(self) -> None:
-        offsets = np.asarray(self.offsets, float)
-        if offsets.shape != (NUM_JOINTS, 3) or not np.isfinite(offsets).all():
-            raise InputError(f"a body's offsets are not {NUM_JOINTS} x 3 finite numbers", "body")
-        if not stature_of(offsets) > 0.5:
-            raise InputError("a body is less than 0.5 m tall", "body", "give metres")
-
-    @staticmethod
-    def of(motion: Motion) -> UserBody:
-        """The body of a recorded person."""
-        return UserBody(motion.offsets)
 
 
 @dataclass(frozen=True)

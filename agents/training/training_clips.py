@@ -23,6 +23,9 @@ def load_clips(args: TrainArgs) -> list[Clip]:
     if args.own_proportions and args.proportions:
         what = "does not go with --own-proportions"
         raise InputError(what, "--proportions", "give one of them")
+    if args.own_proportions and args.body is not None:
+        what = "does not go with a body of your own: the body keeps its own proportions"
+        raise InputError(what, "--own-proportions", "leave it out")
     return load_motions(
         args.motions,
         mirrored=args.mirrored,

@@ -97,6 +97,7 @@ class RecurrentPoser(KinematicSystem):
         self._columns = np.array([self._names.index(DEVICES[i]) for i in self._worn])
         self._seen = torch.tensor([there[3:]])
         self._measured = self.module.body_inputs(body.offsets[None])
+        self._body = body
         self._states: Any = None
         self._before: tuple[Tensor, Tensor, Tensor] | None = None
         self._shape_sum, self._count = torch.zeros(NUM_BONES), 0
@@ -129,10 +130,13 @@ class RecurrentPoser(KinematicSystem):
         return self._poses(six[0], total / count[:, None], heading[0, 1:], position[0, :, 0])
 
     def _poses(self, six: Tensor, shape: Tensor, heading: Tensor, head: Tensor) -> Poses:
-        """Poses ``T`` on the mean estimated body so far, with the head at its measured position."""
-        offsets = self.module.bones(shape)
-        root, quat = assembled(six.numpy(), heading.numpy(), head.numpy(), offsets.numpy())
-        return Poses(root, quat, offsets.double().numpy())
+        """Poses ``T`` on the mean estimated body so far, with the head at its measured position.
+
+        If the user's stature is known, the body is scaled to agree with it.
+        """
+        offsets = self._body.bounded(self.module.bones(shape).numpy())
+        root, quat = assembled(six.numpy(), heading.numpy(), head.numpy(), offsets)
+        return Poses(root, quat, offsets.astype(float))
 
     @torch.no_grad()
     def predict_windows(self, sequence: SensorSequence, body: UserBody, frames: int) -> Poses:
