@@ -185,7 +185,7 @@ def format_table(metrics: Mapping[str, Any], width: int = 100) -> str:
         whole.add_column(column, justify="right")
     for name, label in LABELS.items():
         whole.add_row(
-            label, *(_with_interval(metrics, column, name) for column in ("all", "completed"))
+            label, *(with_interval(metrics, column, name) for column in ("all", "completed"))
         )
     console = Console(file=io.StringIO(), width=width, color_system=None, markup=False)
     console.print(whole)
@@ -199,25 +199,33 @@ def format_table(metrics: Mapping[str, Any], width: int = 100) -> str:
 
 def _groups(label: str, groups: Mapping[str, Any]) -> Table:
     """A row of the main figures for each kind or style."""
-    table = Table(title=f"By {label}, all clips until the fall", title_justify="left")
+    title = f"By {label}, all clips until the fall (95 % interval of more than ten clips)"
+    table = Table(title=title, title_justify="left")
     table.add_column(label.split()[0], no_wrap=True)
     for name in BY_GROUP:
         table.add_column(LABELS[name].replace(" (", "\n("), justify="right")
     for group, columns in groups.items():
-        table.add_row(group, *(_cell(name, columns["all"][name]) for name in BY_GROUP))
+        table.add_row(group, *(with_interval(columns, "all", name, "\n") for name in BY_GROUP))
     return table
 
 
-def _with_interval(metrics: Mapping[str, Any], column: str, name: str) -> str:
-    """A figure and, where there are clips enough, its 95 % interval over clips."""
-    cell = _cell(name, metrics[column][name])
+def with_interval(metrics: Mapping[str, Any], column: str, name: str, gap: str = "  ") -> str:
+    """A figure and, where there are clips enough, its 95 % interval over clips.
+
+    Args:
+        metrics: of all clips or of a group, see ``metrics.evaluate``.
+        column: ``all`` or ``completed``.
+        name: of the figure.
+        gap: between both.
+    """
+    text = cell(name, metrics[column][name])
     ends = metrics.get("intervals", {}).get(column, {}).get(name)
     if ends is None:
-        return cell
-    return f"{cell}  ({_cell(name, ends[0])} to {_cell(name, ends[1])})"
+        return text
+    return f"{text}{gap}({cell(name, ends[0])} to {cell(name, ends[1])})"
 
 
-def _cell(name: str, value: float | None) -> str:
+def cell(name: str, value: float | None) -> str:
     """Format a figure for the table; ``-`` if there was nothing to average."""
     if value is None:
         return "-"

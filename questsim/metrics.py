@@ -240,7 +240,7 @@ def evaluate(
     Each group has two columns: ``all``, every clip until its fall, and ``completed``, only clips
     that were followed to their last frame. With many falls ``completed`` is too optimistic, because
     the hard clips are missing from it. ``intervals`` has the 95 % bootstrap interval over clips of
-    each figure of both columns, or None for fewer than 11 clips.
+    each figure of both columns, or None for fewer than 11 clips; a group has those of ``all``.
 
     Args:
         rollouts: one a clip.
@@ -268,9 +268,12 @@ _Scored = list[tuple[Rollout, dict[str, np.ndarray]]]
 
 def _by(scored: _Scored, label: Callable[[Rollout], str]) -> dict[str, Any]:
     names = sorted({label(rollout) or "unknown" for rollout, _ in scored})
+    groups = {
+        name: [item for item in scored if (label(item[0]) or "unknown") == name] for name in names
+    }
     return {
-        name: _columns([item for item in scored if (label(item[0]) or "unknown") == name])
-        for name in names
+        name: {**_columns(group), "intervals": {"all": _intervals(group)}}
+        for name, group in groups.items()
     }
 
 

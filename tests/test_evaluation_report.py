@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 from rollouts import moving_clip, rollout, shifted, still_clip
 
+from agents.evaluation.groups import ALL, format_groups
 from questsim import evaluation_report, plots
 from questsim.errors import InputError
 from questsim.evaluation_report import (
@@ -211,6 +212,29 @@ def test_the_table_shows_a_dash_where_nothing_was_completed(rollouts):
     table = rows(format_table(evaluate(rollouts[1:])))
     assert table["MPJPE (cm)"] == ["6.00", "-"]
     assert table["success (%)"] == ["0.0", "-"]
+
+
+def test_kinds_of_more_than_ten_clips_have_intervals_in_the_table():
+    walk, run = still_clip(frames=8, kind="walk"), still_clip(frames=8, kind="run")
+    walks = [
+        rollout(walk, link_position=shifted(walk, (0.01 * i, 0.0, 0.0)), fell=i == 0)
+        for i in range(12)
+    ]
+    metrics = evaluate([*walks, rollout(run)])
+    ends = metrics["by_kind"]["walk"]["intervals"]["all"]
+    mean = metrics["by_kind"]["walk"]["all"]["mpjpe_cm"]
+    assert ends["mpjpe_cm"][0] < mean < ends["mpjpe_cm"][1] and ends["success"][1] == 1.0
+    assert set(metrics["by_kind"]["run"]["intervals"]["all"].values()) == {None}
+    low, high = ends["mpjpe_cm"]
+    assert f"({low:.2f} to {high:.2f})" in " ".join(format_table(metrics, width=160).split())
+
+
+def test_groups_of_more_than_ten_clips_have_intervals_in_the_table_of_groups():
+    figures = {"clips": 12, "completed": 11, "interval": (0.75, 1.0), "mpjpe_cm": 3.0}
+    few = {"clips": 3, "completed": 2, "interval": None, "mpjpe_cm": 3.0}
+    table = format_groups({"reference": {ALL: figures, "walk": figures, "run": few}})
+    assert "91.7 % (75 to 100)" in table and "11 (75 to 100 %)" in table
+    assert next(line for line in table.splitlines() if "run" in line).split("│")[3].strip() == "2"
 
 
 def test_the_table_does_not_read_markup_in_names():

@@ -161,8 +161,11 @@ def format_groups(found: Mapping[str, Any], width: int = 100) -> str:
 
 
 def _cell(figures: Mapping[str, Any], whole: bool) -> str:
-    if not whole:
-        return str(figures["completed"])
-    share = f"{100 * figures['completed'] / figures['clips']:.1f} %"
+    text = str(figures["completed"])
+    if whole:
+        text = f"{100 * figures['completed'] / figures['clips']:.1f} %"
     ends = figures["interval"]
-    return share if ends is None else f"{share} ({100 * ends[0]:.0f} to {100 * ends[1]:.0f})"
+    if ends is None:
+        return text
+    low, high = f"{100 * ends[0]:.0f}", f"{100 * ends[1]:.0f}"
+    return f"{text} ({low} to {high})" if whole else f"{text} ({low} to {high} %)"

@@ -12,7 +12,7 @@ from agents.policy.average import AVERAGED, listed
 from agents.policy.policy_agent import PolicyAgent
 from agents.shipping.portable import nameable
 from questsim.errors import InputError
-from questsim.evaluation_report import LABELS
+from questsim.evaluation_report import LABELS, with_interval
 from questsim.metrics import SCHEMA, SCHEMA_VERSION
 from questsim.motion.datasets import DATASETS
 from questsim.sensors import sensor_set
@@ -281,28 +281,20 @@ def _figures(metrics: Mapping[str, Any]) -> list[str]:
         f"### {nameable(motions)}, {metrics['all']['clips']} clips, {statures}",
         "",
         "Each clip runs once, from its first frame, without noise. *All* includes every clip until "
-        "its fall.",
+        "its fall. In brackets: 95 % intervals over clips, where there are more than ten.",
         "",
         "| | all | completed |",
         "|---|---|---|",
     ]
     for key, label in LABELS.items():
         if key not in NOT_FIGURES:
-            cells = (_cell(key, metrics[part][key]) for part in ("all", "completed"))
+            cells = (with_interval(metrics, part, key) for part in ("all", "completed"))
             lines.append(f"| {label.strip()} | {' | '.join(cells)} |")
     lines += ["", "| kind of motion | clips | success (%) | MPJPE (cm) |", "|---|---|---|---|"]
     for kind, parts in metrics["by_kind"].items():
-        row = (_cell(key, parts["all"][key]) for key in ("clips", "success", "mpjpe_cm"))
+        row = (with_interval(parts, "all", key) for key in ("clips", "success", "mpjpe_cm"))
         lines.append(f"| {kind} | {' | '.join(row)} |")
     return [*lines, ""]
-
-
-def _cell(key: str, value: float | None) -> str:
-    if value is None:
-        return "-"
-    if key in ("clips", "frames"):
-        return str(value)
-    return f"{100.0 * value:.1f}" if key == "success" else f"{value:.2f}"
 
 
 def licence_lines(training: Mapping[str, Any]) -> list[str]:
