@@ -89,6 +89,18 @@ def test_one_command_scores_all_systems_on_the_same_frames(tmp_path, capsys):
     assert "| ik | 6 |" in capsys.readouterr().out
 
 
+def test_zero_and_random_torques_are_compared_like_policies(tmp_path):
+    motions = tmp_path / "motions.npz"
+    save_library(motions, [to_motion(swaying_clip(frames=12))], [])
+    agents, out = ("zero", "random"), tmp_path / "scores"
+    args = CompareArgs(agents=agents, motions=str(motions), out=out, threads=1)
+    assert compare(args) == 0
+    report = json.loads((out / "comparison.json").read_text())
+    rows = {row["agent"]: row["pooled"] for row in report["rows"]}
+    assert {"zero", "random"} <= set(rows)
+    assert rows["zero"]["mpjpe_cm"] != rows["random"]["mpjpe_cm"] > 0.0
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

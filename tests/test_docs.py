@@ -52,6 +52,20 @@ def test_make_targets_that_are_named_exist():
     assert named <= targets
 
 
+def test_the_workflow_runs_what_ci_runs_on_every_python_of_the_package():
+    job = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text())["jobs"]["test"]
+    ran = {line for step in job["steps"] for line in re.findall("make [^|]+", step.get("run", ""))}
+    ours = {
+        line.strip() for line in re.findall("^make [^|\n]+", (ROOT / ".ci/run").read_text(), re.M)
+    }
+    assert {line.replace("PYTHON=python", "").strip() for line in ran} == ours
+    matrix = job["strategy"]["matrix"]
+    assert {name.split("-")[0] for name in matrix["os"]} == {"ubuntu", "macos"}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert project["requires-python"] == f">={matrix['python'][0]}"
+    assert matrix["python"] == ["3.11", "3.12", "3.13"]
+
+
 def test_every_dependency_is_pinned():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     wanted = project["dependencies"] + [*chain(*project["optional-dependencies"].values())]
