@@ -43,10 +43,29 @@ KOREAN = Rig(
     ),
     sides=("왼쪽", "오른쪽"), pose="own",
 )  # fmt: skip
+BIPED_SCENE = Rig(
+    body(
+        spines("Bip001_Pelvis", "Bip001_Spine", "Bip001_Spine1", neck="Bip001_Neck",
+               head="Bip001_Head"),
+        "Bip001_{}_Clavicle Bip001_{}_UpperArm Bip001_{}_Forearm Bip001_{}_Hand",
+        "Bip001_{}_Thigh Bip001_{}_Calf Bip001_{}_Foot Bip001_{}_Toe0",
+    ),
+    sides=("L", "R"), up="y",
+    extra=(
+        ("Bip001_{}_Toe0Nub", "left_toe", "", (0.07, 0, 0)),
+        ("Bip001_HeadNub", "head", "", (0, 0, 0.18)),
+        ("Bip001_{}_ForeTwist", "left_elbow", "", (0, 0.1, 0)),
+        ("Bip001_Ponytail1", "head", "", (-0.1, 0, 0.1)),
+        ("Bip001_Prop1", "root", "", (0.2, 0.4, 0)),
+    ),
+)  # fmt: skip
 
 STRANGERS: dict[str, Rig] = {
     "Biped in inches, z up, A-pose, motion on the root": replace(
         BIPED, pose="A", above_hips=(), carrier="Bip01", fps=100.0, frames=100
+    ),
+    "Biped with underscores, keyed smoothly": replace(
+        BIPED_SCENE, units="m", pose="own", carrier="Bip001"
     ),
     "VRM with a root above the hips and a camera": replace(
         RIGS["VRM"], pose="A", props=PROPS, fps=60.0

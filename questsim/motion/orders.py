@@ -37,6 +37,8 @@ MAX_SLIDE = 3.0
 SMOOTHER = 0.85
 """Another order is right if the shoulders' mean angular acceleration is below this share of the
 declared one; in those true files no other order comes below 0.99."""
+AT_POLE = 2.0
+"""In poses of gimbal lock, angles of the right order change faster by more than this factor."""
 RESTS = 1e-3
 """Radians from frame to frame, added to that acceleration: noise of shoulders that hardly move."""
 SLIDES, TRAVELS = 0.2, 0.25
@@ -89,7 +91,8 @@ def order_problem(recording: Recording, family: Family, ups: Sequence[str], metr
     orders = [o for p in permutations("XYZ") if (o := "".join(p)) != declared_order]
     others = {order: _turned(few, order, angles) for order in orders}
     declared = _feet(few, family, ups[:1])
-    problem = _steadier(declared, others, family, ups, metres) or _smoother(few, others, family)
+    problem = _steadier(declared, others, family, ups, metres)
+    problem = problem or _smoother(few, others, family, angles)
     if problem or declared.slide < SLIDES or declared.travel < TRAVELS:
         return problem
     for what, scale in (("with angles twice as large", 2.0), ("with half the angles", 0.5)):
@@ -128,12 +131,21 @@ def _clearly_steadier(found: _Feet, declared: _Feet) -> bool:
     return found.upright and found.slide < MAX_SLIDE and better and much
 
 
-def _smoother(declared: Recording, others: dict[str, Recording], family: Family) -> str:
-    """Says that the shoulders turn much more smoothly with another order; empty if not."""
+def _smoother(
+    declared: Recording, others: dict[str, Recording], family: Family, angles: np.ndarray
+) -> str:
+    """Says that the shoulders turn much more smoothly with another order; empty if not.
+
+    Args:
+        declared: the motion in the order that the file declares.
+        others: in the other orders.
+        family: the mapping of its joints.
+        angles: ``(T * J, 3)`` of the rotation channels.
+    """
     rough = {order: _roughness(other, family) for order, other in others.items()}
     best = min(rough, key=lambda order: rough[order])
     share = rough[best] / _roughness(declared, family)
-    if share > SMOOTHER:
+    if share > SMOOTHER or not _passes_pole(others[best], family, angles):
         return ""
     return (
         f"the shoulders jerk, but with channels in the order {best} they would by only "
@@ -141,9 +153,25 @@ def _smoother(declared: Recording, others: dict[str, Recording], family: Family)
     )
 
 
+def _passes_pole(recording: Recording, family: Family, angles: np.ndarray) -> bool:
+    """Whether angles of the shoulders change much faster than the shoulders turn.
+
+    If they do not, as in keyed animation, another order turns more smoothly by chance.
+    """
+    joints = _shoulders(recording, family)
+    steps = np.diff(angles.reshape(len(recording.rotations), -1, 3)[:, joints], axis=0)
+    largest = abs((steps + np.pi) % (2.0 * np.pi) - np.pi).max()
+    turns = recording.rotations[:, joints]
+    return bool(largest > AT_POLE * rot.angle_between(turns[1:], turns[:-1]).max())
+
+
+def _shoulders(recording: Recording, family: Family) -> list[int]:
+    return [recording.names.index(family.joints[joint]) for joint in SHOULDERS]
+
+
 def _roughness(recording: Recording, family: Family) -> float:
     """Mean change of the shoulders' turn from frame to frame, in radians."""
-    turns = recording.rotations[:, [recording.names.index(family.joints[j]) for j in SHOULDERS]]
+    turns = recording.rotations[:, _shoulders(recording, family)]
     steps = rot.quat_multiply(rot.quat_conjugate(turns[:-1]), turns[1:])
     return float(rot.angle_between(steps[1:], steps[:-1]).mean()) + RESTS
 
