@@ -3,6 +3,7 @@
     python -m benchmarks.live                  # latency, and ten minutes at 90 Hz
     python -m benchmarks.live --minutes 1 --agent questsim-now --assist 0
     python -m benchmarks.live --motions bandai-namco-2:test --clips 36 --assist 0
+    python -m benchmarks.live --motions bandai-namco-2:test --clips 36 --assist 0 --rest 1
 
 The frames come from a synthetic user at 90 Hz. 1 % are lost. Each arrives up to 20 ms late, so many
 arrive out of order and are dropped. Targets: half of the steps within 5 ms, 99 % within 20 ms, no
@@ -13,9 +14,10 @@ With ``--motions`` it measures instead the cost of a calibrated start. It compar
 clips between three starts: in the state of the clip's first frame, as in most evaluations; standing
 at its place, as in evaluations of standing starts; and from a user who stands still for calibration
 and then goes over to the clip within two seconds, with the body unknown. Target: at most 3 points
-less than the first. Clips that begin at rest are also counted alone: from standing, most others
-cannot be followed at all. It also measures how far apart the links of the first and the last avatar
-are in the same frames, after the first second: whether the live avatar moves as the evaluated one.
+less than the first. Clips that begin at rest are also counted alone, and with ``--rest 1`` chosen
+alone: from standing, most others cannot be followed at all. It also measures how far apart the
+links of the first and the last avatar are in the same frames, after the first second: whether the
+live avatar moves as the evaluated one.
 """
 
 from __future__ import annotations
@@ -55,11 +57,12 @@ def main() -> None:
     """Measure and print."""
     args = arguments(
         __doc__ or "", {"agent": LIVE_POLICY, "motions": ""}, minutes=10, clips=60,
-        assist=round(ASSIST_N),
+        assist=round(ASSIST_N), rest=0,
     )  # fmt: skip
     torch.set_num_threads(1)
     if args.motions:
-        clips = choose_clips(load_motions(args.motions), args.clips)
+        loaded = load_motions(args.motions)
+        clips = choose_clips([c for c in loaded if not args.rest or at_rest(c)], args.clips)
         report(starts(args.agent, clips, float(args.assist)), args.json)
         return
     report(measure(args.agent, float(args.minutes), float(args.assist)), args.json)
@@ -121,6 +124,11 @@ def measure(agent: str, minutes: float, assist_n: float) -> dict[str, float]:
     }
 
 
+def at_rest(clip: Clip) -> bool:
+    """Whether a clip begins with a pelvis that moves by less than ``REST_M_S``."""
+    return bool(np.linalg.norm(clip.qvel[0, :2]) < REST_M_S)
+
+
 def starts(agent: str, clips: Sequence[Clip], assist_n: float) -> dict[str, float]:
     """Success in percent of scored and of calibrated starts.
 
@@ -149,7 +157,7 @@ def starts(agent: str, clips: Sequence[Clip], assist_n: float) -> dict[str, floa
         for number, positions in each.links.items()
         if FPS <= number < len(rollout.link_position)
     ]
-    rest = np.array([np.linalg.norm(clip.qvel[0, :2]) < REST_M_S for clip in clips])
+    rest = np.array([at_rest(clip) for clip in clips])
     return {
         "clips": len(clips),
         "assist_n": assist_n,

@@ -18,10 +18,13 @@ from agents.follower.replay import (
     show_recording,
 )
 from questsim import rotations as rot
-from questsim.devices import CONVENTIONS, from_ours
+from questsim.devices import CONVENTIONS, DeviceFrame, from_ours
 from questsim.errors import InputError
+from questsim.exporting import write_clip
 from questsim.motion.clip import FPS
-from questsim.recordings import read_recording, write_recording
+from questsim.motion.kinematics import clip_from_qpos
+from questsim.recordings import DeviceRecording, read_recording, write_recording
+from questsim.skeleton import FOOT_LINKS
 from questsim.stream_metrics import stream_scores, track_of
 from questsim.synthetic_user import SyntheticUser, example_frames, stream
 
@@ -199,6 +202,52 @@ def test_replay_writes_scores_and_refuses_what_it_cannot_write(tmp_path, capsys)
         replay(ReplayArgs(path, agent="questsim-now", calibrate=0.0))
     with pytest.raises(InputError, match=r"does not end in one of \.json"):
         replay(ReplayArgs(path, out=tmp_path / "x.doc"))
+
+
+def test_a_user_who_first_moves_is_measured_as_soon_as_they_stand_still(tmp_path, capsys):
+    still = stream(SyntheticUser(1.7), [], 72.0)[0]
+
+    def later(frame, seconds, sway_m=0.0):
+        aside = np.array([0.0, sway_m * np.sin(3.0 * frame.time_s), 0.0])
+        poses = {
+            n: pose._replace(position=pose.position + aside) for n, pose in frame.poses.items()
+        }
+        return DeviceFrame(frame.time_s + seconds, poses)
+
+    length = still[-1].time_s + 1 / 72
+    moving = [later(frame, 0.0, 0.4) for frame in still]
+    frames = (*moving, *(later(f, length) for f in still), *(later(f, 2 * length) for f in still))
+    follower = Follower("hmdposer")
+    rest = calibrated(follower, DeviceRecording(frames), 1.5)
+    assert follower.calibration is not None
+    assert follower.calibration.height_m == pytest.approx(1.7, abs=0.02)
+    assert length - 1.5 < rest[0].time_s - 1.5 < length + 1.5 and rest[-1] is frames[-1]
+    assert "calibrated after" in capsys.readouterr().err
+    with pytest.raises(InputError, match="moved"):
+        calibrated(follower, DeviceRecording(tuple(moving)), 1.5)
+
+
+@pytest.mark.parametrize("kind", ["bvh", "glb", "npz", "csv"])
+def test_replay_writes_the_avatars_motion_over_its_floor(kind, tmp_path, monkeypatch):
+    frames = stream(SyntheticUser(1.7), [], 72.0)[0][:144]
+    follower = Follower("hmdposer", height_m=1.7)
+    rise = np.array([0.0, 0.0, 0.4])  # the floor in the space of the devices
+    raised = [
+        replace(p, root_position=p.root_position + rise, link_position=p.link_position + rise)
+        for p in replayed(follower, frames)
+    ]
+    track = track_of(frames, raised, floor_m=0.4)
+    monkeypatch.setattr("agents.follower.replay.followed", lambda _: track)
+    out = tmp_path / f"me.{kind}"
+    replay(ReplayArgs(Path("synthetic"), out=out))
+    clip = clip_from_qpos("me", track.qpos, 1.7)
+    assert len(clip) == len(track.time_s) > 36
+    assert abs(clip.link_position - track.link_position).max() < 1e-6
+    assert clip.link_position[:, FOOT_LINKS, 2].min() < 0.15
+    write_clip(tmp_path / f"same.{kind}", clip)
+    assert out.read_bytes().replace(b"me", b"") == (
+        (tmp_path / f"same.{kind}").read_bytes().replace(b"me", b"")
+    )
 
 
 def test_show_plots_the_signals_of_a_recording(tmp_path, capsys):

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from agents.follower.calibration import POSES, Calibration
@@ -134,12 +135,13 @@ def calibrated(
     Args:
         follower: gets the recording's calibration, or one from its first seconds.
         recording: the frames.
-        seconds: length of the calibration; 0 for none, which needs a stature.
+        seconds: length of the calibration; 0 for none, which needs a stature. It is repeated, as
+            live, until the user stands still.
         height_m: stature, if known.
         pose: see ``calibrate``.
 
     Raises:
-        InputError: the user does not stand still, or the stature is unknown.
+        InputError: the user never stands still, or the stature is unknown.
     """
     frames = recording.frames
     if recording.calibration is not None and height_m is None:
@@ -150,9 +152,42 @@ def calibrated(
             raise InputError("the user's height is unknown", "--calibrate 0", "give --height")
         follower.use(Calibration(height_m))
         return frames
-    end = frames[0].time_s + seconds
-    follower.calibrate([f for f in frames if f.time_s < end], height_m=height_m, pose=pose)
-    return [frame for frame in frames if frame.time_s >= end]
+    return _measured(follower, frames, seconds, height_m, pose)
+
+
+def _measured(
+    follower: Follower,
+    frames: Sequence[DeviceFrame],
+    seconds: float,
+    height_m: float | None,
+    pose: str,
+) -> Sequence[DeviceFrame]:
+    """Calibrate on the first whole part in which the user stands still, as a live session does.
+
+    Returns:
+        The frames after that part.
+
+    Raises:
+        InputError: there is none; says what was wrong with the first part.
+    """
+    times = np.array([frame.time_s for frame in frames])
+    begin, first_error = 0, None
+    while begin < len(frames):
+        end = int(np.searchsorted(times, times[begin] + seconds))
+        if first_error is not None and end == len(frames):
+            break
+        try:
+            follower.calibrate(frames[begin:end], height_m=height_m, pose=pose)
+        except InputError as error:
+            first_error = first_error or error
+            begin = end + 1  # live, the frame that ends a part is in none
+            continue
+        if first_error is not None:
+            after_s = times[begin] - times[0]
+            print(f"calibrated after {after_s:.1f} s: {first_error.what} before", file=sys.stderr)
+        return frames[end:]
+    assert first_error is not None
+    raise first_error
 
 
 def replayed(follower: Follower, frames: Sequence[DeviceFrame]) -> list[AvatarPose]:

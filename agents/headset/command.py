@@ -230,17 +230,19 @@ async def _serve(
 
 
 @contextlib.contextmanager
-def _osc_driver(port: int | None, roles: dict[str, str], session: LiveSession) -> Iterator[None]:
-    """Frames of a VMC program, if one drives the avatar."""
+def _osc_driver(
+    port: int | None, roles: dict[str, str], session: LiveSession
+) -> Iterator[int | None]:
+    """Frames of a VMC program, if one drives the avatar; gives the port that listens."""
     if port is None:
-        yield
+        yield None
         return
     from questsim.osc.receiver import VmcReceiver
 
     with VmcReceiver(session.push, port=port, roles=roles) as receiver:
         print(f"listening for VMC at {LOOPBACK}:{receiver.port}", flush=True)
         session.begin()
-        yield
+        yield receiver.port
 
 
 async def feed(session: LiveSession, recording: DeviceRecording) -> None:
