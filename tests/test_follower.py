@@ -7,16 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from agents.agent import ZeroAgent
-from agents.evaluation.assisted import AssistUse, user_headsets
-from agents.evaluation.follow import evaluation_sim
-from agents.evaluation.rollout import env_config, roll_out
 from agents.follower import Calibration, Follower, calibrate
 from agents.follower.bridge import Bridge
 from agents.follower.moving import MovingUser
 from agents.follower.stance import estimated_pose
-from agents.loading import load_agent
-from envs.assist import Assist, _wanted_lean, headsets
-from envs.config import EnvConfig
 from envs.objects import objects_named
 from questsim import rotations as rot
 from questsim.devices import DeviceFrame, DevicePose
@@ -289,104 +283,9 @@ def test_an_avatar_that_fell_while_its_user_walks_is_set_up_in_the_pose_of_the_w
         assert step == pytest.approx(user[left, 0] - user[right, 0], abs=0.3)
 
 
-def test_the_assist_holds_a_limp_avatar_up_for_longer_and_stays_within_its_bound():
-    clips = [CLIPS["synthetic-stand-1"]]
-    config = env_config(ZeroAgent())
-    alone, fallen = roll_out(ZeroAgent(), clips, config)[0], AssistUse(0.0)
-    watched = roll_out(ZeroAgent(), clips, config, assist=fallen)[0]
-    np.testing.assert_array_equal(watched.link_position, alone.link_position)
-    assert fallen.figures()["upright_percent"] == 0.0 and fallen.figures()["peak_n"] == 0.0
-    use = AssistUse(1500.0)
-    helped = roll_out(ZeroAgent(), clips, config, assist=use)[0]
-    assert alone.fell and len(helped) > 1.3 * len(alone)
-    figures = use.figures()
-    assert 0.0 < figures["mean_n"] <= figures["peak_n"] <= 1500.0 + 1e-6
-    assert figures["clips_percent"] == 100.0 and figures["time_percent"] > 10.0
-
-
-def test_an_avatar_that_keeps_up_is_not_helped():
-    agent, use = load_agent("questsim"), AssistUse(300.0)
-    clips = [CLIPS["synthetic-stand-1"]]
-    helped = roll_out(agent, clips, env_config(agent), assist=use)[0]
-    alone = roll_out(agent, clips, env_config(agent))[0]
-    assert use.figures()["time_percent"] == 0.0 and use.figures()["mean_n"] is None
-    assert use.figures()["upright_percent"] == 100.0
-    np.testing.assert_array_equal(helped.link_position, alone.link_position)
-
-
-def test_the_assist_reads_the_user_of_an_avatar_of_another_stature():
-    user = CLIPS["synthetic-walk-1.2-start-stop"]
-    sim = evaluation_sim([user], EnvConfig(unscaled_m=0.2, fixed_start=True))
-    sim.reset()
-    sim.step(np.zeros((1, 33)))
-    position, quat = user_headsets(sim)
-    true, turned = device_poses(
-        user.link_position[1], user.link_quat[1], ["headset"], user.height_m
-    )
-    np.testing.assert_allclose(position, true, atol=1e-5)
-    np.testing.assert_allclose(np.abs((quat * turned).sum()), 1.0, atol=1e-6)
-    sim.close()
-
-
-def test_the_assist_adds_to_a_push_on_the_pelvis_and_never_pushes_down():
-    sim = evaluation_sim([CLIPS["synthetic-stand-1"]], EnvConfig(fixed_start=True))
-    sim.reset()
-    assist = Assist(sim, 0.001)
-    sim.pusher.push(0, np.array([100.0, 0.0, 0.0]), 1.0, "pelvis")
-    far = headsets(sim) + np.array([1.0, 1.0, -1.0])
-    for _ in range(3):
-        assist.apply(far, np.array([[1.0, 0.0, 0.0, 0.0]]))
-        sim.step(np.zeros((1, 33)))
-    wrench = sim.batch.bind("xfrc_applied")[0, 1]
-    assert 0.0 < np.linalg.norm(assist.force[0]) <= 0.001 and assist.force[0, 2] == 0.0
-    np.testing.assert_allclose(wrench[:3], [100.0, 0.0, 0.0], atol=0.001)
-    sim.close()
-
-
-def test_the_assist_pulls_the_centre_of_mass_over_the_feet(monkeypatch):
-    for gain in ("_STIFFNESS", "_DAMPING", "_LIFT_STIFFNESS", "_LIFT_DAMPING"):
-        monkeypatch.setattr(f"envs.assist.{gain}", 0.0)
-    sim = evaluation_sim([CLIPS["synthetic-stand-1"]], EnvConfig(fixed_start=True))
-    sim.reset()
-    assist = Assist(sim, 2000.0)
-    assist.share[:] = 1.0
-    far = headsets(sim) + np.array([1.0, 0.0, 0.0])
-    assist.apply(far, np.array([[1.0, 0.0, 0.0, 0.0]]))
-    assist._centres = sim.batch.bind("subtree_com").copy()
-    centre = assist._centres[0, 1]
-    feet = sim.link_positions[0, FOOT_LINKS].mean(axis=0)  # nothing has been loaded yet
-    centre += [0.2, -0.1, 0.0]  # forward and to the right of the feet
-    assert sim.renew_forces is not None
-    sim.renew_forces()
-    # Half of the weight times the distance over the height of the centre.
-    wanted = 0.5 * 9.81 * sim.masses[0] / centre[2] * (feet - centre)[:2]
-    wrench = sim.batch.bind("xfrc_applied")[0, 1]
-    np.testing.assert_allclose(wrench[:3], [*wanted, 0.0], rtol=1e-6)
-    assert wrench[0] < 0.0 < wrench[1]
-    sim.close()
-
-
-def test_the_trunk_is_turned_upright_and_that_of_a_bent_user_neither_back_nor_aside():
-    ahead = np.array([0.0, np.pi / 2.0])  # one looks along x, one along y
-    lean = np.array([[-0.6, 0.0, 0.8], [0.6, 0.0, 0.8]])
-    up = [[0.0, 0.0, 1.0]] * 2
-    np.testing.assert_allclose(_wanted_lean(lean, ahead, np.ones((2, 1))), up)
-    bent = np.zeros((2, 1))
-    least = [[0.3, 0.0, 0.91**0.5], [0.0, 0.3, 0.91**0.5]]
-    np.testing.assert_allclose(_wanted_lean(lean, ahead, bent), least, atol=1e-12)
-    deep = np.array([[0.8, 0.0, 0.6], [0.0, 0.8, 0.6]])  # both bend forward: kept
-    np.testing.assert_allclose(_wanted_lean(deep, ahead, bent), deep, atol=1e-12)
-
-
 def test_an_avatar_without_physics_is_not_assisted():
     with pytest.raises(InputError, match="without physics cannot be assisted"):
         Follower("ik", assist_n=100.0)
-
-
-@pytest.mark.parametrize("bound", [-1.0, 5000.0, np.nan])
-def test_an_assist_out_of_range_is_refused(bound):
-    with pytest.raises(InputError, match="not within 0 and 2000 N"):
-        AssistUse(bound)
 
 
 def test_the_same_stream_gives_the_same_bits(follower):

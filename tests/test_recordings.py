@@ -13,6 +13,7 @@ from agents.follower.replay import (
     ReplayArgs,
     ShowRecordingArgs,
     calibrated,
+    moves_backwards,
     replay,
     replayed,
     show_recording,
@@ -23,6 +24,7 @@ from questsim.errors import InputError
 from questsim.exporting import write_clip
 from questsim.motion.clip import FPS
 from questsim.motion.kinematics import clip_from_qpos
+from questsim.motion.synthesis.synthetic import synthetic_clips
 from questsim.recordings import DeviceRecording, read_recording, write_recording
 from questsim.skeleton import FOOT_LINKS
 from questsim.stream_metrics import stream_scores, track_of
@@ -110,6 +112,23 @@ def test_a_recording_of_iwer_is_read_by_its_grips(tmp_path):
     path = tmp_path / "iwer.json"
     path.write_text(json.dumps(iwer(FRAMES)))
     assert same(read_recording(path).frames, FRAMES, 1e-3, 3e-3)
+
+
+def test_axes_of_another_hand_are_noticed_by_steps_against_the_gaze():
+    walk = next(clip for clip in synthetic_clips() if clip.name == "synthetic-walk-1.2-start-stop")
+    frames, _ = stream(SyntheticUser(1.75), [walk], 72.0)
+
+    def read_as(convention):
+        numbers = [
+            {n: np.concatenate(from_ours(*p, "unity")) for n, p in f.poses.items()} for f in frames
+        ]
+        return [
+            DeviceFrame.of(f.time_s, each, convention)
+            for f, each in zip(frames, numbers, strict=True)
+        ]
+
+    assert not moves_backwards(read_as("unity")) and moves_backwards(read_as("openxr"))
+    assert not moves_backwards(FRAMES) and not moves_backwards([])  # who stands goes nowhere
 
 
 def test_a_damaged_pose_of_iwer_is_refused(tmp_path):

@@ -13,6 +13,7 @@ import torch
 from agents.follower.calibration import POSES, Calibration
 from agents.follower.follower import Follower
 from agents.follower.options import CALIBRATION_S, FollowArgs, ReplayArgs, ShowRecordingArgs
+from questsim import rotations as rot
 from questsim.avatar_pose import AvatarPose
 from questsim.devices import DeviceFrame
 from questsim.errors import InputError
@@ -24,6 +25,10 @@ from questsim.motion.kinematics import clip_from_qpos
 from questsim.recordings import DeviceRecording, read_recording
 from questsim.stream_metrics import Track, stream_scores, track_of
 
+_STEP_S, _MOVING_M_S, _LEAST_MOVING_S = 0.1, 0.4, 2.0
+"""Time over which a speed is taken, least speed of a headset that moves, and for how long."""
+_BACKWARDS = -0.5
+"""Mean cosine between movement and gaze below which a user goes backwards."""
 MOTION_SUFFIXES = tuple(f".{name}" for name in FORMATS)
 
 
@@ -115,12 +120,42 @@ def followed(args: FollowArgs, recording: DeviceRecording | None = None) -> Trac
                     "does nothing: the recording has a calibration", f"--{option}",
                     "leave it out, or give --height to calibrate anew",
                 )  # fmt: skip
+    if moves_backwards(recording.frames):
+        print(
+            "warning: the headset moves against its gaze most of the time: are the axes those of "
+            "another convention (docs/live.md)?",
+            file=sys.stderr,
+        )
     follower = Follower(args.agent, args.sensors, assist_n=args.assist)
     rest = calibrated(follower, recording, args.calibrate, args.height, args.pose)
     assert follower.calibration is not None
     known = follower.calibration
     print(f"stature {known.height_m:.2f} m, floor at {known.floor_m:.2f} m", file=sys.stderr)
     return track_of([known.apply(f) for f in rest], replayed(follower, rest), known.floor_m)
+
+
+def moves_backwards(frames: Sequence[DeviceFrame]) -> bool:
+    """Whether the headset moves against its gaze most of the time, as with axes of a wrong hand.
+
+    Positions and quaternions of Unity that are read as OpenXR's look right while the user stands,
+    but turn every step forward into one backwards.
+
+    Args:
+        frames: of a user; only those of a headset that moves count, in all for two seconds.
+    """
+    seen = [(f.time_s, f.poses["headset"]) for f in frames if "headset" in f.poses]
+    times = np.array([time_s for time_s, _ in seen])
+    place = np.array([pose.position[:2] for _, pose in seen]).reshape(-1, 2)
+    gaze = rot.heading(np.array([pose.quat for _, pose in seen]).reshape(-1, 4))
+    later = np.minimum(np.searchsorted(times, times + _STEP_S), len(times) - 1)
+    passed_s = times[later] - times
+    speed = (place[later] - place) / np.maximum(passed_s, 1e-9)[:, None]
+    fast = np.linalg.norm(speed, axis=-1)
+    moving = (passed_s < 2.0 * _STEP_S) & (fast > _MOVING_M_S)
+    if np.minimum(np.diff(times, append=times[-1:]), _STEP_S)[moving].sum() < _LEAST_MOVING_S:
+        return False
+    ahead = (speed * np.stack([np.cos(gaze), np.sin(gaze)], axis=-1)).sum(axis=-1)
+    return bool((ahead[moving] / fast[moving]).mean() < _BACKWARDS)
 
 
 def calibrated(
