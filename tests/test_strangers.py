@@ -3,13 +3,17 @@
 import numpy as np
 import pytest
 import rigs
+from mocap_files import standing, write_bvh
 from rig_strangers import RUSSIAN, SMPL_FBX, STRANGERS
 from rig_styles import RIGS
 from rigs import Rig, write_rig
+from test_recognise import chain
 
 from questsim.cli import main
+from questsim.motion.bvh import read_bvh
 from questsim.motion.joint_names import understand
 from questsim.motion.library import load_library
+from questsim.motion.recognise import find_roles
 from questsim.skeleton import JOINTS
 
 CMU_ARMS = {
@@ -60,3 +64,57 @@ def test_a_vertebra_is_of_no_side_and_a_numbered_bone_is():
     assert {n.side for n in understand([f"Bone_{s}{i}" for s in "LR" for i in range(9)])} == {
         "left", "right"
     }  # fmt: skip
+
+
+def person(name: str, x: float) -> list[tuple[str, str, tuple[float, float, float]]]:
+    """Joints of one of several people that hang on one scene."""
+    return [
+        (f"{name}_Hips", "Scene", (x, 92, 0)), (f"{name}_Spine", f"{name}_Hips", (0, 20, 0)),
+        (f"{name}_Head", f"{name}_Spine", (0, 35, 0)),
+        (f"{name}_{{}}_UpLeg", f"{name}_Hips", (9, -5, 0)),
+        (f"{name}_{{}}_Leg", f"{name}_{{}}_UpLeg", (0, -42, 0)),
+        (f"{name}_{{}}_Foot", f"{name}_{{}}_Leg", (0, -41, 0)),
+        (f"{name}_{{}}_Arm", f"{name}_Spine", (16, 22, 0)),
+        (f"{name}_{{}}_ForeArm", f"{name}_{{}}_Arm", (28, 0, 0)),
+        (f"{name}_{{}}_Hand", f"{name}_{{}}_ForeArm", (25, 0, 0)),
+    ]  # fmt: skip
+
+
+def test_two_people_in_one_hierarchy_are_refused(tmp_path, capsys):
+    both = chain(("Scene", "", (0, 0, 0)), *person("Ann", 0.0), *person("Bob", 100.0))
+    path = write_bvh(tmp_path / "a.bvh", both, standing(20, 0.0))
+    assert main(["motions", "import", str(path), "--out", str(tmp_path / "lib.npz")]) == 2
+    assert "several people are in one hierarchy" in capsys.readouterr().err
+    one = chain(("Scene", "", (0, 0, 0)), *person("Ann", 0.0), *person("Rig", 0.0))
+    write_bvh(path, one, standing(20, 0.0))  # two sets of bones of one person
+    assert main(["motions", "import", str(path), "--out", str(tmp_path / "lib.npz")]) == 0
+
+
+def test_a_headset_beside_the_performer_is_not_the_head(tmp_path):
+    joints = chain(("Scene", "", (0, 0, 0)), ("Headset", "Scene", (80, 160, 0)), *person("A", 0.0))
+    path = write_bvh(tmp_path / "a.bvh", joints, standing(20, 0.0))
+    assert find_roles(read_bvh(path)).joints["head"] == "A_Head"
+
+
+def test_a_hierarchy_that_begins_at_the_chest_turns_chest_and_hips(tmp_path):
+    joints = chain(
+        ("Chest", "", (0, 0, 0)), ("Head", "Chest", (0, 35, 2)),
+        ("{}Arm", "Chest", (16, 22, 0)), ("{}ForeArm", "{}Arm", (28, 0, 0)),
+        ("{}Hand", "{}ForeArm", (25, 0, 0)), ("Hips", "Chest", (0, -25, 0)),
+        ("{}UpLeg", "Hips", (9, -5, 0)), ("{}Leg", "{}UpLeg", (0, -42, 0)),
+        ("{}Foot", "{}Leg", (0, -41, 0)),
+    )  # fmt: skip
+    turns = {
+        "Chest": np.linspace([0, 0, 0], [0, 50, 0], 30),
+        "Hips": np.linspace([0, 0, 0], [0, -50, 0], 30),
+    }
+    path = write_bvh(tmp_path / "a.bvh", joints, standing(30, 117), turns)
+    assert main(["motions", "import", str(path), "--out", str(tmp_path / "lib.npz")]) == 0
+    (motion,) = load_library(tmp_path / "lib.npz").motions
+    place = motion.forward_kinematics()[0][-1]
+    left = {
+        j: place[JOINTS.index(f"left_{j}")] - place[JOINTS.index(f"right_{j}")]
+        for j in ("hip", "shoulder")
+    }
+    degrees = {j: np.degrees(np.arctan2(-v[0], v[1])) for j, v in left.items()}
+    assert degrees["shoulder"] - degrees["hip"] == pytest.approx(50.0, abs=0.5)

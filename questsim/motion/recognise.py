@@ -10,7 +10,7 @@ positions stay the same.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -18,7 +18,8 @@ import numpy as np
 from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.motion.convert import global_pose
-from questsim.motion.joint_names import ARM, HEAD, HIPS, LEG, NECK, Name, fit, understand
+from questsim.motion.joint_names import ARM, HEAD, HIPS, LEG, NECK, fit
+from questsim.motion.joint_tree import END, Tree, tree_of
 from questsim.motion.recording import Recording
 from questsim.motion.rest import some_frames
 from questsim.motion.unsided import find_limbs
@@ -31,10 +32,13 @@ MIN_FOOT_ANGLE = np.radians(25.0)
 """The end of a foot that lies in the shin's line within this angle is under the ankle, no toe."""
 HELPER = 0.01
 """Decides between joints that fit equally well."""
+SURE = 2.0
+"""Points of a leg whose names say thigh, shin and foot."""
+APART = 0.2
+"""Leg lengths between the knees of two people."""
 APPENDAGE = 0.3
 HUMAN = 0.4
 """Logarithm of the largest ratio of thigh and shin, or arm and forearm, that is not unusual."""
-END = " End Site"
 MAPPING = "name the joints in a mapping file ('questsim motions mapping' writes a start)"
 
 
@@ -51,42 +55,6 @@ class Roles:
     joints: dict[str, str]
     reasons: dict[str, str]
     recording: Recording
-
-
-@dataclass(frozen=True)
-class _Tree:
-    names: list[Name]
-    parents: list[int]
-    place: np.ndarray
-    """Positions ``(T, J, 3)`` of the joints in some of the frames. With all rotations zero, joints
-    that have axes of their own lie anywhere."""
-    lengths: dict[tuple[int, int], float] = field(default_factory=dict)
-
-    def children(self, joint: int) -> list[int]:
-        return [j for j, parent in enumerate(self.parents) if parent == joint]
-
-    def path(self, joint: int) -> list[int]:
-        """From the file's root to the joint."""
-        out = [joint]
-        while self.parents[out[-1]] >= 0:
-            out.append(self.parents[out[-1]])
-        return out[::-1]
-
-    def meet(self, a: int, b: int) -> int:
-        """The lowest common ancestor of two joints."""
-        shared = [x for x, y in zip(self.path(a), self.path(b), strict=False) if x == y]
-        return shared[-1]
-
-    def leaves(self, joint: int) -> list[int]:
-        below = self.children(joint)
-        return [leaf for child in below for leaf in self.leaves(child)] if below else [joint]
-
-    def length(self, a: int, b: int) -> float:
-        """Median distance of two joints."""
-        if (a, b) not in self.lengths:
-            distance = np.linalg.norm(self.place[:, b] - self.place[:, a], axis=-1)
-            self.lengths[a, b] = float(np.median(distance))
-        return self.lengths[a, b]
 
 
 def with_ends(recording: Recording) -> Recording:
@@ -114,7 +82,7 @@ def find_roles(recording: Recording) -> Roles:
         InputError: two legs, two arms or a head are not found; the message says which.
     """
     recording = with_ends(recording)
-    tree = _tree(recording)
+    tree = tree_of(recording)
     found: dict[str, int] = {}
     why: dict[str, str] = {}
     if not any(name.side and name.part for name in tree.names):
@@ -143,7 +111,7 @@ def find_roles(recording: Recording) -> Roles:
 
 
 def _by_place(
-    recording: Recording, tree: _Tree, missing: str
+    recording: Recording, tree: Tree, missing: str
 ) -> tuple[dict[str, int], dict[str, str]]:
     """Limbs by place and length, their sides by name or else by the front.
 
@@ -207,24 +175,17 @@ def _without_ends(recording: Recording) -> Recording:
     )
 
 
-def _tree(recording: Recording) -> _Tree:
-    parents = [int(parent) for parent in recording.parents]
-    names = understand([name.removesuffix(END) for name in recording.names])
-    ended = [n.endswith(END) for n in recording.names]
-    names = [
-        replace(name, key="", part=name.part) if end else name
-        for name, end in zip(names, ended, strict=True)
-    ]
-    place, _ = global_pose(some_frames(recording))
-    return _Tree(names, parents, place)
-
-
 _Limb = tuple[dict[str, int], float]
 
 
-def _limbs(tree: _Tree, part: dict, recording: Recording) -> dict[str, _Limb]:
-    """The best chain of each side for legs or arms; empty if there is none."""
+def _limbs(tree: Tree, part: dict, recording: Recording) -> dict[str, _Limb]:
+    """The best chain of each side for legs or arms; empty if there is none.
+
+    Raises:
+        InputError: there are legs of several people.
+    """
     out: dict[str, _Limb] = {"left": ({}, MIN_POINTS), "right": ({}, MIN_POINTS)}
+    found: list[tuple[str, _Limb]] = []
     for start, name in enumerate(tree.names):
         parent = tree.parents[start]
         if not name.side or (parent >= 0 and tree.names[parent].side == name.side):
@@ -234,14 +195,31 @@ def _limbs(tree: _Tree, part: dict, recording: Recording) -> dict[str, _Limb]:
             tuple(j for j in path[path.index(start) :] if tree.names[j].part)[:MAX_CHAIN]
             for path in paths
         }
-        for chain in sorted(chains):
-            chosen, score = _best(tree, chain, part)
-            if score > out[name.side][1]:
-                out[name.side] = (chosen, score)
+        found += [(name.side, _best(tree, chain, part)) for chain in sorted(chains)]
+    for side, limb in found:
+        if limb[1] > out[side][1]:
+            out[side] = limb
+    if part is LEG and any(_of_another(tree, limb, out[side]) for side, limb in found):
+        raise InputError(
+            "several people are in one hierarchy: there is more than one pair of legs",
+            recording.path,
+            "keep one person in each file",
+        )
     return out
 
 
-def _best(tree: _Tree, usable: tuple[int, ...], part: dict) -> _Limb:
+def _of_another(tree: Tree, limb: _Limb, chosen: _Limb) -> bool:
+    """Whether a leg is named as surely as the chosen one, but its knee is elsewhere.
+
+    Rigs with several sets of bones have them in the same place.
+    """
+    if limb[1] < SURE or not chosen[0] or limb[0]["knee"] == chosen[0]["knee"]:
+        return False
+    leg = tree.length(chosen[0]["hip"], chosen[0]["ankle"])
+    return tree.length(limb[0]["knee"], chosen[0]["knee"]) > APART * leg
+
+
+def _best(tree: Tree, usable: tuple[int, ...], part: dict) -> _Limb:
     """The best assignment of a limb's roles to a chain of joints."""
     roles = list(part)
     optional = "toe" if part is LEG else "clavicle"
@@ -256,7 +234,7 @@ def _best(tree: _Tree, usable: tuple[int, ...], part: dict) -> _Limb:
     return best
 
 
-def _points(tree: _Tree, usable: tuple[int, ...], chosen: dict[str, int], part: dict) -> float:
+def _points(tree: Tree, usable: tuple[int, ...], chosen: dict[str, int], part: dict) -> float:
     """The score of a choice from its names and bone lengths."""
     score = sum(fit(part[role], tree.names[joint].key) for role, joint in chosen.items())
     # Skipping a joint whose name fits a missing role costs points.
@@ -288,7 +266,7 @@ def _unlike(difference: float) -> float:
     return min(0.2 * difference + 2.0 * max(difference - HUMAN, 0.0), 3.0)
 
 
-def _appendages(tree: _Tree, usable: tuple[int, ...], chosen: dict[str, int]) -> int:
+def _appendages(tree: Tree, usable: tuple[int, ...], chosen: dict[str, int]) -> int:
     """How many chosen joints have the name of one above them and more: HandGun of Hand."""
     taken = set(chosen.values())
     return sum(
@@ -303,7 +281,7 @@ def _appendages(tree: _Tree, usable: tuple[int, ...], chosen: dict[str, int]) ->
     )
 
 
-def _helpers(tree: _Tree, usable: tuple[int, ...], chosen: dict[str, int]) -> int:
+def _helpers(tree: Tree, usable: tuple[int, ...], chosen: dict[str, int]) -> int:
     """How many chosen joints only place the next one, which has their name and is not chosen."""
     follows = dict(pairwise(usable))
     return sum(
@@ -314,7 +292,7 @@ def _helpers(tree: _Tree, usable: tuple[int, ...], chosen: dict[str, int]) -> in
     )
 
 
-def _trunk(tree: _Tree, found: dict[str, int], recording: Recording) -> None:
+def _trunk(tree: Tree, found: dict[str, int], recording: Recording) -> None:
     """Adds root, spine, neck and head to ``found``."""
     hips = tree.meet(found["left_hip"], found["right_hip"])
     limbs = {joint for name, joint in found.items() if name not in ("root",)}
@@ -335,10 +313,12 @@ def _trunk(tree: _Tree, found: dict[str, int], recording: Recording) -> None:
     neck = [joint for joint in neck if joint != head]
     if neck:
         found["neck"] = neck[0]
+    if chest != hips and chest in tree.path(hips):
+        found["spine3"] = chest  # the hierarchy begins at the chest
     _fold(tree, spine, hips, neck[0] if neck else head, found)
 
 
-def _fold(tree: _Tree, spine: list[int], hips: int, neck: int, found: dict[str, int]) -> None:
+def _fold(tree: Tree, spine: list[int], hips: int, neck: int, found: dict[str, int]) -> None:
     """Adds up to three of the file's spine joints: first, middle and last."""
     if not spine:
         return
@@ -355,13 +335,15 @@ def _fold(tree: _Tree, spine: list[int], hips: int, neck: int, found: dict[str, 
         found |= {"spine1": spine[0], "spine2": spine[middle], "spine3": spine[-1]}
 
 
-def _head(tree: _Tree, chest: int, limbs: set[int], recording: Recording) -> int:
+def _head(tree: Tree, chest: int, limbs: set[int], recording: Recording) -> int:
     """The head: by name, or else the last joint of the chain above the chest."""
     named = [
         joint
         for joint, name in enumerate(tree.names)
         if name.part and not name.side and HEAD.search(name.key) and joint not in limbs
     ]
+    # A headset beside the performer is no head.
+    named = [joint for joint in named if chest in tree.path(joint)[:-1]] or named
     if named:
         return min(named, key=lambda joint: (len(tree.path(joint)), joint))
     below = [
