@@ -10,17 +10,21 @@ from pathlib import Path
 
 import pytest
 import yaml
+from mocap_files import SMPL_JOINTS, standing, write_bvh
 
 from agents.agent import Needs
 from agents.overrides import with_overrides
 from agents.policy.checkpoint import load_policy, save_policy
 from agents.policy.policy_agent import new_policy
 from agents.policy.spec import Layout, PolicySpec
-from agents.run_folder import only_training
+from agents.run_folder import check_same_run, data_record, only_training, plain
+from agents.training.options import TrainArgs
 from agents.training.presets import PRESETS
+from agents.training.train_policy import MAY_DIFFER_ON_RESUME
 from questsim.cli import main
 from questsim.errors import InputError
 from questsim.files import parse_yaml, whole_folder
+from questsim.motion.spec import load_motions
 
 STEPS = ("mkdir", "write", "rename old", "rename new", "remove old")
 
@@ -104,6 +108,19 @@ with only_training(Path({str(tmp_path)!r}) / "run"):
     assert not (tmp_path / "run").exists()  # nothing was written
 
 
+def test_motions_that_were_moved_are_still_those_of_the_run(tmp_path):
+    records = []
+    for folder, height in (("one", 0.95), ("two", 0.95), ("other", 0.97)):
+        (tmp_path / folder).mkdir()
+        path = write_bvh(tmp_path / folder / "a.bvh", SMPL_JOINTS, standing(12, height))
+        records.append(data_record(str(path), load_motions(str(path))))
+    run = {"args": plain(TrainArgs(motions="one", out=tmp_path)), "data": records[0]}
+    resumed = TrainArgs(motions="two", out=tmp_path)
+    check_same_run(run, resumed, records[1], MAY_DIFFER_ON_RESUME, tmp_path)
+    with pytest.raises(InputError, match="the motions differ from those at the start"):
+        check_same_run(run, resumed, records[2], MAY_DIFFER_ON_RESUME, tmp_path)
+
+
 def small_policy():
     spec = PolicySpec(("o_sim",), (), (8,), torque_head=False)
     return new_policy(spec, Layout({"o_sim": (0, 312)}))
@@ -181,7 +198,11 @@ def test_messages_quote_only_a_short_part_of_the_input():
 
 
 def test_commands_that_draw_nothing_need_no_opengl(tmp_path):
-    code = "import questsim, mujoco; from envs.core import BatchSim; print('fine')"
+    bvh = write_bvh(tmp_path / "a.bvh", SMPL_JOINTS, standing(12, 0.95))
+    code = (
+        "import mujoco; from envs.core import BatchSim; from questsim.cli import main\n"
+        f"main(['motions', 'import', {str(bvh)!r}, '--out', {str(tmp_path / 'lib.npz')!r}])"
+    )
     environment = os.environ | {"MUJOCO_GL": "osmesa", "LD_LIBRARY_PATH": str(tmp_path)}
     # Without the library, whether or not this machine has it.
     (tmp_path / "OpenGL").mkdir()
@@ -194,4 +215,5 @@ def test_commands_that_draw_nothing_need_no_opengl(tmp_path):
         text=True,
         check=False,
     )
-    assert done.stdout == "fine\n", done.stderr
+    assert "1 clip" in done.stdout, done.stderr
+    assert (tmp_path / "lib.npz").exists()
