@@ -27,6 +27,7 @@ from questsim.cli import main
 from questsim.errors import InputError
 from questsim.motion.library import load_library
 from questsim.motion.sources import motion_files
+from questsim.skeleton import LINKS
 
 PAGE = Path(__file__).parents[1] / "docs" / "motion.md"
 SHARED_CASES = Path(__file__).parents[2] / "shared" / "cases"
@@ -205,3 +206,43 @@ def test_a_reported_file_is_imported_or_refused_for_its_true_reason(name, tmp_pa
     assert re.search(CASES[name].replace("(", r"\(").replace(")", r"\)"), "".join(printed))
     if code:
         assert printed.err.count("\n") == 1 and not (tmp_path / "a.npz").exists()
+    else:
+        assert_stands(tmp_path / "a.npz")
+
+
+def assert_stands(library: Path) -> None:
+    """The reported files are of one person of about 1.7 m, who stands and walks."""
+    (clip,) = load_library(library).clips
+    head, foot = (clip.link_position[:, LINKS.index(link), 2] for link in ("head", "left_foot"))
+    assert 1.6 < clip.height_m < 1.8
+    assert (head > 1.3).all() and foot.min() < 0.15
+
+
+AS_ADVISED = {
+    "no_frame_rate.npz": "--fps 60",
+    "frame_time_1s.bvh": "--fps 30",
+    "frame_time_is_fps.bvh": "--fps 30",
+    "no_toe_joints.bvh": f"--mapping {SHARED_CASES / 'no_toe_joints.toml'}",
+}
+
+
+@pytest.mark.skipif(not SHARED_CASES.is_dir(), reason=f"{SHARED_CASES} is not here")
+@pytest.mark.parametrize("name", AS_ADVISED)
+def test_a_reported_file_imports_as_its_message_says(name, tmp_path):
+    command = ["motions", "import", str(SHARED_CASES / name), "--out", str(tmp_path / "a.npz")]
+    assert main([*command, *AS_ADVISED[name].split()]) == 0
+    assert_stands(tmp_path / "a.npz")
+
+
+@pytest.mark.skipif(not SHARED_CASES.is_dir(), reason=f"{SHARED_CASES} is not here")
+def test_reported_files_of_one_name_and_a_wrong_mapping(tmp_path, capsys):
+    out = ["--out", str(tmp_path / "a.npz")]
+    assert main(["motions", "import", str(SHARED_CASES / "same_stem"), *out]) == 0
+    names = [clip.name for clip in load_library(tmp_path / "a.npz").clips]
+    assert len(names) == 2 and names[0].startswith("a-") and names[1].startswith("b-")
+    capsys.readouterr()
+    mapping = SHARED_CASES / "hardening" / "mapping-1-foot_pitch__nan.toml"
+    command = ["motions", "import", str(SHARED_CASES / "base_ok.bvh"), "--mapping", str(mapping)]
+    assert main([*command, "--out", str(tmp_path / "b.npz")]) == 2
+    said = capsys.readouterr().err
+    assert "foot_pitch is nan" in said and said.count("\n") == 1
