@@ -9,8 +9,11 @@ the place below the user's head and half by the error of the avatar's head: user
 pelvis is not seen. A part against toppling pulls the centre of mass back over the loaded feet. A
 vertical part carries a body that sinks; it never pushes down, which would make the legs buckle. The
 torque turns the trunk upright and towards the user's heading. While the user bends or squats, the
-trunk keeps its forward lean, but may not lean back or to the side. Both are renewed in every
-substep of the physics: the pelvis is light, and gains of this size would shake it at 36 Hz.
+trunk keeps its forward lean, but may not lean back or to the side. A part of the torque turns the
+whole body upright over its feet: force and torque on the trunk alone can hold a body for seconds
+whose feet drag half a metre behind it, and that then sinks. The trunk turns back, and the hips
+bring the legs forward. Both are renewed in every substep of the physics: the pelvis is light, and
+gains of this size would shake it at 36 Hz.
 """
 
 from __future__ import annotations
@@ -45,6 +48,10 @@ _UPRIGHTING, _UPRIGHT_DAMPING = 8.0, 1.5
 """Gains of the torque on the sine of the tilt and its rate, N m and N m s per kg of the body."""
 _TURNING = 2.0
 """Gain of the torque about the vertical on the sine of the angle between the headings."""
+_LEANING = 10.0
+"""Gain of the torque on the distance of the centre of mass from the feet, N m per kg and metre."""
+_STRIDE_M = 0.1
+"""The centre of mass may be this far from the line between the feet, as in a step."""
 _BALANCE = 0.5
 """Share of the moment of gravity about the feet that the part against toppling takes away."""
 _LEAST_LOAD_N = 20.0
@@ -158,6 +165,8 @@ class Assist:
         pull[:, 2] = np.maximum(lift, 0.0)
         turn = _UPRIGHTING * np.cross(lean, _wanted_lean(lean, self._heading, upright))
         turn -= _UPRIGHT_DAMPING * np.cross(lean, lean_rate)
+        feet = sim.link_positions[:, FOOT_LINKS, :2]
+        turn -= _LEANING * np.cross(_UP, _beyond_feet(centre, feet))
         aside = self._heading - rot.heading(sim.link_quats[:, _HEAD])
         turn[:, 2] += _TURNING * np.sin(aside)
         mass = sim.masses[:, None]
@@ -225,6 +234,23 @@ def _distance(error: np.ndarray) -> np.ndarray:
     weighted = error.copy()
     weighted[:, 2] *= np.where(error[:, 2] > 0.0, _SINK_WEIGHT, 1.0)
     return np.linalg.norm(weighted, axis=-1)
+
+
+def _beyond_feet(centre: np.ndarray, feet: np.ndarray) -> np.ndarray:
+    """Level vector ``(n, 3)`` by which centres of mass are further than a step from the feet.
+
+    Args:
+        centre: ``(n, 3)`` centres of mass.
+        feet: ``(n, 2, 2)`` level positions of both feet; the nearest place between them counts.
+    """
+    along, away = feet[:, 1] - feet[:, 0], centre[:, :2] - feet[:, 0]
+    square = np.maximum((along**2).sum(axis=-1), 1e-9)
+    share = np.clip((away * along).sum(axis=-1) / square, 0.0, 1.0)
+    away = away - share[:, None] * along
+    distance = np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-9)
+    out = np.zeros_like(centre)
+    out[:, :2] = np.maximum(1.0 - _STRIDE_M / distance, 0.0) * away
+    return out
 
 
 def _wanted_lean(lean: np.ndarray, heading: np.ndarray, upright: np.ndarray) -> np.ndarray:

@@ -8,7 +8,16 @@ from agents.evaluation.assisted import AssistUse, user_headsets
 from agents.evaluation.follow import evaluation_sim
 from agents.evaluation.rollout import env_config, roll_out
 from agents.loading import load_agent
-from envs.assist import ENGAGE_M, FADE_S, FORESIGHT_S, RELEASE_M, Assist, _wanted_lean, headsets
+from envs.assist import (
+    ENGAGE_M,
+    FADE_S,
+    FORESIGHT_S,
+    RELEASE_M,
+    Assist,
+    _beyond_feet,
+    _wanted_lean,
+    headsets,
+)
 from envs.config import EnvConfig
 from questsim.errors import InputError
 from questsim.motion.clip import FPS
@@ -132,6 +141,33 @@ def test_the_assist_pulls_the_centre_of_mass_over_the_feet(monkeypatch):
     np.testing.assert_allclose(wrench[:3], [*wanted, 0.0], rtol=1e-6)
     assert wrench[0] < 0.0 < wrench[1]
     sim.close()
+
+
+def test_a_centre_of_mass_counts_from_a_step_beyond_the_place_between_the_feet():
+    feet = np.array([[[1.0, 0.2], [1.0, -0.2]]] * 5)
+    centre = np.array([[1.0, 0.1], [1.09, 0.0], [1.4, 0.1], [1.0, -0.6], [0.7, 0.6]])
+    feet[4, 1] = feet[4, 0]  # both at one place
+    level = np.concatenate([centre, np.full((5, 1), 0.9)], axis=1)
+    wanted = [[0, 0, 0], [0, 0, 0], [0.3, 0, 0], [0, -0.3, 0], [-0.24, 0.32, 0]]
+    np.testing.assert_allclose(_beyond_feet(level, feet), wanted, atol=1e-9)
+
+
+def test_the_torque_turns_a_body_back_over_feet_that_stay_behind(standing, monkeypatch):
+    for gain in ("_UPRIGHTING", "_UPRIGHT_DAMPING", "_TURNING"):
+        monkeypatch.setattr(f"envs.assist.{gain}", 0.0)
+    assist = Assist(standing, 2000.0)
+    assist.share[:] = 1.0
+    assist.apply(headsets(standing) + np.array([1.0, 0.0, 0.0]), AHEAD)
+    assist._centres = standing.batch.bind("subtree_com").copy()
+    feet = standing.link_positions[0, FOOT_LINKS]
+    across = (feet[0] - feet[1])[:2] / np.linalg.norm((feet[0] - feet[1])[:2])
+    assist._centres[0, 1, :2] = feet.mean(axis=0)[:2] + 0.3 * np.array([across[1], -across[0]])
+    assert standing.renew_forces is not None
+    standing.renew_forces()
+    wrench = standing.batch.bind("xfrc_applied")[0, 1]
+    # 0.3 m ahead of the feet, of which 0.1 m are a step: the body is turned backwards.
+    moment = 10.0 * standing.masses[0] * 0.2
+    np.testing.assert_allclose(wrench[3:], [*(-moment * across), 0.0], atol=1e-6)
 
 
 def test_the_trunk_is_turned_upright_and_that_of_a_bent_user_neither_back_nor_aside():
