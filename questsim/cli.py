@@ -62,7 +62,7 @@ COMMANDS: dict[str, Command] = {
         "summarise a recording, and plot its signals and foot contacts",
     ),
     "motions import": Command(
-        "questsim.motion_options:ImportArgs", "questsim.motion.motions_command:import_motions",
+        "questsim.motion_options:ImportArgs", "agents.commands.import_motions:import_on_workers",
         "read BVH, ASF/AMC, AMASS and DeepMimic files into a library of clips",
     ),
     "motions mapping": Command(

@@ -56,6 +56,10 @@ class ImportArgs:
     """Write no library if any file cannot be used; by default such files are skipped and named."""
     explain: bool = False
     """Print how each file was read: joints with reasons, units, axes, feet, retargeting errors."""
+    workers: int = 0
+    """Ray workers that share the files (docs/scaling.md); 0 for the cores of this machine."""
+    ray: str | None = None
+    """Address of a Ray cluster for --workers, whose nodes find the files at the same paths."""
 
 
 @dataclass

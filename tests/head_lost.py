@@ -34,6 +34,23 @@ def main(folder: Path) -> None:
     lines = [line for line in log.read_text().splitlines() if line.startswith("error:")]
     print("one line" if len(lines) == 1 and " died" in lines[0] else log.read_text(), flush=True)
     print("checkpoint" if (out / "teacher/last/resume.pt").is_file() else "none", flush=True)
+    resume(out, options.split(), folder)
+
+
+def resume(out: Path, options: list[str], folder: Path) -> None:
+    """Go on for one iteration on another cluster."""
+    from agents.policy.checkpoint import load_resume
+    from agents.training.ray_session import ray_cluster
+    from questsim.cli import main as questsim
+
+    before = load_resume(out / "teacher/last")["learner"]["steps"]
+    options[options.index("--steps") + 1] = str(before + 16)
+    cluster, _ = own_cluster(folder, 2)
+    with ray_cluster(cluster.address, 2):
+        code = questsim(["train", *options, "--resume"])
+    after = load_resume(out / "teacher/last")["learner"]["steps"]
+    print("resumed" if (code, after) == (0, before + 16) else (code, before, after), flush=True)
+    cluster.shutdown()
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -23,6 +24,7 @@ from agents.kinematic.data import MotionBank
 from agents.kinematic.fit import Fit
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.team import RayTeam, SharedStage, part_of
+from agents.policy.checkpoint import load_resume
 from agents.run_folder import versions
 from agents.training.make_ppo import make_ppo
 from agents.training.peers import PeerLostError, join
@@ -234,8 +236,10 @@ def test_gradients_of_workers_without_workers_or_ppo_are_refused(tmp_path, capsy
     [
         # trains the same when it loses a node; Ray reports the lost node in between
         ("two_nodes.py", ["nodes 2", "used 2", "lost", "same"]),
-        # without its head a training ends with one line and a checkpoint
-        ("head_lost.py", ["exit 2", "one line", "checkpoint"]),
+        # without its head a training ends with one line and a checkpoint, and goes on on another
+        ("head_lost.py", ["exit 2", "one line", "checkpoint", "resumed"]),
+        # trainings of both kinds whose command is killed end with the bits of one in one piece
+        ("killed.py", ["policy killed", "policy same", "system killed", "system same"]),
     ],
 )
 def test_a_cluster_of_its_own(tmp_path, script, expected):
@@ -288,28 +292,60 @@ def test_train_py_trains_with_workers_and_goes_on_with_others(tmp_path, cluster,
     shared = ["--gradients", "workers"]
     assert main([*line.split(), "--steps", "32", "--workers", "2", *shared]) == 0
     assert "gradients of 2 workers with 8 samples each: 16 a step" in capsys.readouterr().out
-    assert (out / "teacher" / "last" / "policy.yaml").is_file()
-    again = [*line.split(), "--steps", "64", "--workers", "2", *shared, "--resume"]
-    assert main(again) == 0
+    longer = [*line.split(), "--steps", "64", "--workers", "2", *shared]
+    assert main([*longer, "--resume"]) == 0
     assert "new episodes begin" not in capsys.readouterr().out
+    assert main([word.replace(str(out), str(tmp_path / "whole")) for word in longer]) == 0
+    whole, parts = (
+        load_resume(folder / "teacher" / "last")["learner"]["policy"]
+        for folder in (tmp_path / "whole", out)
+    )
+    assert all(torch.equal(value, parts[name]) for name, value in whole.items())
+    capsys.readouterr()
     assert main([*line.split(), "--steps", "96", "--resume"]) == 0
     assert "another number of workers: new episodes begin" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("line", ["train --preset smoke --workers 1", "sweep --preset smoke"])
-def test_a_cluster_that_does_not_answer_is_refused(tmp_path, monkeypatch, capsys, line):
+@pytest.fixture
+def not_yet_connected(monkeypatch):
     ray = pytest.importorskip("ray", reason="Ray is not installed")
     monkeypatch.setattr(ray, "is_initialized", lambda: False)
+    monkeypatch.setattr("agents.training.watched._watched", True)  # in this process
+    return ray
 
-    def unreachable(**_: object) -> None:
-        raise ConnectionError("could not connect\nmore lines")
 
-    monkeypatch.setattr(ray, "init", unreachable)
-    alone = lambda function, args: function(args)  # noqa: E731
-    monkeypatch.setattr("agents.training.train_policy.watched", alone)
-    assert main([*line.split(), "--ray", "127.0.0.1:1", "--out", str(tmp_path / "out")]) == 2
-    assert "--ray 127.0.0.1:1: no Ray cluster answers there" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
+@pytest.mark.parametrize(
+    "line",
+    [
+        "train --preset smoke --workers 1",
+        "train --agent hmdposer --preset smoke --workers 2",
+        "sweep --preset smoke",
+        "motions vary synthetic:stand --count 1 --workers 1",
+    ],
+)
+def test_a_cluster_that_does_not_answer_is_refused(tmp_path, not_yet_connected, capsys, line):
+    out = tmp_path / "out.npz"
+    assert main([*line.split(), "--ray", "127.0.0.1:1", "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert "error: --ray 127.0.0.1:1: no Ray cluster answers there: [Errno 111]" in error
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("address", ["auto", "local", "head", "ray://head:10001", "[::1]:x", ":1"])
+def test_what_is_no_address_of_a_cluster_is_refused(not_yet_connected, address):
+    with pytest.raises(InputError, match="is not an address HOST:PORT"), ray_cluster(address, 1):
+        pass
+
+
+def test_a_cluster_of_another_version_is_named_in_one_line(not_yet_connected, monkeypatch):
+    def refuse(**_: object) -> None:
+        raise RuntimeError("Version mismatch: The cluster was started with:\n    Ray: 1.2\n")
+
+    monkeypatch.setattr(not_yet_connected, "init", refuse)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(InputError, match=r"started with: Ray: 1\.2"), ray_cluster(address, 1):
+            pass
 
 
 def test_ray_that_is_not_installed_is_named(monkeypatch):
@@ -318,9 +354,25 @@ def test_ray_that_is_not_installed_is_named(monkeypatch):
         pass
 
 
-def test_a_worker_with_other_versions_is_refused():
-    with pytest.raises(InputError, match=r"worker 1: has mujoco 1\.0, the command has"):
-        check_versions(versions() | {"mujoco": "1.0"}, versions(), "worker 1")
+@pytest.mark.parametrize(("name", "other"), [("mujoco", "1.0"), ("processor", "VSX")])
+def test_a_worker_with_other_versions_is_refused(name, other):
+    with pytest.raises(InputError, match=f"worker 1: has {name} {other}, the command has"):
+        check_versions(versions() | {name: other}, versions(), "worker 1")
+
+
+def test_a_replaced_worker_with_other_versions_is_refused(
+    batch, cluster, closed_after, monkeypatch
+):
+    from agents.training.cluster import ActorPool
+
+    pool = closed_after(ActorPool(batch, 1))
+    ppo = make_ppo(CONFIG, CONFIG.learning, pool, 3)  # type: ignore[arg-type]
+    ppo.iterate(nothing, 0.0)
+    monkeypatch.setattr("agents.training.cluster.versions", lambda: versions() | {"torch": "0"})
+    ppo.iterate(nothing, 0.0)  # those of the worker were checked when it began
+    os.kill(cluster.get(pool._actors[0].call.remote("pid")), signal.SIGKILL)
+    with pytest.raises(InputError, match="worker 0: has torch"):
+        ppo.iterate(nothing, 0.0)
 
 
 def test_a_cluster_without_workers_is_refused(tmp_path, capsys):

@@ -10,12 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from mocap_files import SMPL_JOINTS, standing, write_bvh
+from test_shown import estimate_of
+from test_sweep import KL, QUICK
 
 from agents.loading import load_agent
 from agents.training.ray_session import ray_cluster, ray_map
 from questsim.cli import main
 from questsim.errors import InputError
-from questsim.motion.library import load_library
+from questsim.motion.library import load_library, save_library
+from questsim.motion.retarget_back import to_motion
+from tests.helpers import swaying_clip
 
 TIMES = ("ms", "real", "minutes")
 """Parts of the names of columns with times."""
@@ -101,6 +106,69 @@ def test_variations_on_workers_are_the_same(tmp_path, cluster, monkeypatch):
     assert [clip.name for clip in alone] == [clip.name for clip in shared]
     for one, other in zip(alone, shared, strict=True):
         assert np.array_equal(one.qpos, other.qpos)
+
+
+def test_a_training_on_a_worker_varies_keeps_and_is_shown_the_same(tmp_path, cluster):
+    clips = [swaying_clip("short"), swaying_clip("long", frames=110)]
+    save_library(tmp_path / "true.npz", [to_motion(clip) for clip in clips], clips)
+    seen = [estimate_of(clip) for clip in clips]
+    save_library(tmp_path / "seen.npz", [to_motion(clip) for clip in seen], seen)
+    line = f"train --preset smoke --motions {tmp_path}/true.npz --envs 4 --threads 1 --steps 64"
+    line += " --set validation_clips=1 stages.student.learning.updates=2"
+    line += " stages.student.keep_checkpoints=true stages.student.evaluate_every=32"
+    for stage in ("teacher", "student"):
+        line += f" stages.{stage}.learning.rollout_steps=4 stages.{stage}.learning.minibatch=16"
+    found = []
+    for more in ((), ("--workers", 1)):
+        out = tmp_path / f"with{len(more)}"
+        run(line, *more, "--vary", 0.5, "--redraw", 32, "--out", out / "varied")
+        run("average", out / "varied" / "student", "--out", out / "mean")
+        line_of_student = [*more, "--stage", "student", "--teacher", out / "varied"]
+        run(line, *line_of_student, "--estimates", tmp_path / "seen.npz", "--out", out / "shown")
+        files = {path.relative_to(out): path for path in out.rglob("policy.safetensors")}
+        found.append({str(name): path.read_bytes() for name, path in files.items()})
+    assert found[0] == found[1]
+    kept = sorted(name for name in found[0] if name.startswith("varied/student/kept"))
+    assert len(kept) == 3 and len({found[0][name] for name in kept}) == 3
+
+
+def test_an_import_on_workers_makes_the_same_library(tmp_path, cluster, monkeypatch, capsys):
+    for name in "abc":
+        write_bvh(tmp_path / f"{name}.bvh", SMPL_JOINTS, standing(12, 0.95))
+    (tmp_path / "empty.bvh").write_text("")
+    monkeypatch.setattr("questsim.motion.many.PART", 1)
+    monkeypatch.chdir(tmp_path)  # the workers started elsewhere and are given relative paths
+    said = []
+    for more in ((), ("--workers", 2)):
+        run("motions import a.bvh b.bvh c.bvh empty.bvh --mirrored --out", "library.npz", *more)
+        library = load_library(tmp_path / "library.npz")
+        figures = [a for c in (*library.clips, *library.motions) for a in vars(c).values()]
+        captured = capsys.readouterr()
+        said.append((captured.out, captured.err, [c.name for c in library.clips], figures))
+    assert said[0][:3] == said[1][:3]
+    assert "skipped empty.bvh: is empty" in said[0][1]
+    for one, other in zip(said[0][3], said[1][3], strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_sweep_on_a_cluster_trains_as_one_without(tmp_path, cluster):
+    line = f"sweep {QUICK} --values {KL}=0.02 --seeds 1 --out"
+    run(line, tmp_path / "alone")
+    run(line, tmp_path / "shared", "--ray", "in-use:1", "--workers", 2)
+    alone, shared = (next((tmp_path / name / "runs").iterdir()) for name in ("alone", "shared"))
+    assert alone.name == shared.name
+    for file in ("last/policy.safetensors", "best/policy.safetensors"):
+        weights = Path("teacher", file)
+        assert (alone / weights).read_bytes() == (shared / weights).read_bytes()
+    tables = [(tmp_path / name / "sweep.csv").read_text() for name in ("alone", "shared")]
+    assert tables[0] == tables[1]
+
+
+def test_a_sweep_says_what_is_wrong_with_a_run_on_a_node(tmp_path, cluster, capsys):
+    line = f"sweep {QUICK} --hold-out nowhere --seeds 1 --ray in-use:1 --out"
+    assert main([*line.split(), str(tmp_path / "sweep")]) == 2
+    assert "no clip has style 'nowhere'" in capsys.readouterr().err
+    assert not (tmp_path / "sweep").exists()
 
 
 def test_an_error_on_a_worker_is_the_same_error_here(cluster):

@@ -21,6 +21,7 @@ from agents.evaluation.worlds import format_worlds, run_worlds, write_worlds
 from agents.loading import load_agent
 from agents.resolve import ESTIMATE_TRACKER, Resolved, resolve
 from agents.training.ray_session import ray_map
+from agents.training.watched import beside_ray
 from envs.config import EnvConfig
 from envs.objects import objects_named
 from envs.randomisation import REAL_DEVICES
@@ -46,6 +47,7 @@ _OF_PHYSICS = (
 """Environment options, which do not apply to a kinematic system."""
 
 
+@beside_ray
 def evaluate(args: EvaluateArgs) -> int:
     """Run an evaluation, print its table and write its report; returns the exit code.
 
@@ -191,6 +193,7 @@ def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
     return report(args, rollouts, context | extra)
 
 
+@beside_ray
 def evaluate_worlds(args: WorldsArgs) -> int:
     """Run the worlds table, print it and write worlds.json; returns the exit code.
 
@@ -214,6 +217,7 @@ def evaluate_worlds(args: WorldsArgs) -> int:
     return 0
 
 
+@beside_ray
 def evaluate_scorecard(args: ScorecardArgs) -> int:
     """Compare a policy and its variants with the bars, print the table; returns the exit code.
 
@@ -234,6 +238,7 @@ def evaluate_scorecard(args: ScorecardArgs) -> int:
     return 0
 
 
+@beside_ray
 def evaluate_by_group(args: ByGroupArgs) -> int:
     """Print the table of groups and conditions; returns the exit code.
 
@@ -260,6 +265,7 @@ def evaluate_by_group(args: ByGroupArgs) -> int:
     return 0
 
 
+@beside_ray
 def evaluate_comparison(args: CompareArgs) -> int:
     """See ``agents.comparison.compare``; returns the exit code.
 

@@ -8,6 +8,7 @@ from functools import partial
 
 from tqdm import tqdm
 
+from agents.training.watched import beside_ray
 from questsim.errors import INTERRUPTED, at_least
 from questsim.motion.clip import Clip
 from questsim.motion.library import save_library
@@ -20,6 +21,7 @@ PART = 8
 """Variations that a worker makes at a time."""
 
 
+@beside_ray
 def vary_motions(args: VaryArgs) -> int:
     """Write a library of variations; print a summary of them and of the rejected recipes.
 

@@ -36,6 +36,7 @@ from agents.run_folder import (
     versions,
 )
 from agents.training.ray_session import ray_map
+from agents.training.watched import beside_ray
 from questsim.errors import InputError, at_least
 from questsim.files import whole_file
 from questsim.motion.motion import Motion
@@ -46,6 +47,7 @@ SCORES = "scores.json"
 MAY_DIFFER_ON_RESUME = {"resume", "out", "threads", "variants", "workers", "ray"}
 
 
+@beside_ray
 def ablations(args: AblationsArgs) -> int:
     """Train, score and write the table; returns the exit code.
 

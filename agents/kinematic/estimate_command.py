@@ -13,6 +13,7 @@ from agents.kinematic.options import EstimateArgs
 from agents.kinematic.physics_behind import on_own_body
 from agents.kinematic.processes import process_map
 from agents.resolve import resolve_system
+from agents.training.watched import beside_ray
 from questsim.errors import at_least
 from questsim.motion.clip import Clip
 from questsim.motion.library import save_library
@@ -22,6 +23,7 @@ from questsim.motion.retarget import to_clip
 from questsim.motion.spec import load_recordings
 
 
+@beside_ray
 def estimate(args: EstimateArgs) -> None:
     """Write the library; motions are named ``NAME@AGENT`` and keep kind, style and licence.
 

@@ -225,15 +225,18 @@ class RayTeam:
         self._kind = ray.remote(num_cpus=stage.threads, memory=stage.memory)(GradientWorker)
         self._stage = ray.put(stage)
         self._actors: list[Any] = self._make()
-        found = first_error([actor.versions.remote() for actor in self._actors])
-        for number, each in enumerate(found, 1):
-            check_versions(each, versions(), f"worker {number}")
+        self._check()
         self._peers: Peers | None = None  # until the workers are connected
         self._running: list[Any] = []
         self._next = 0.0, 0
 
     def _make(self) -> list[Any]:
         return [self._kind.remote(self._stage, rank) for rank in range(1, self.count)]
+
+    def _check(self) -> None:
+        found = first_error([actor.versions.remote() for actor in self._actors])
+        for number, each in enumerate(found, 1):
+            check_versions(each, versions(), f"worker {number}")
 
     def sync(self, descent: Descent) -> None:
         """Give them the state of networks and optimiser."""
@@ -273,6 +276,7 @@ class RayTeam:
 
     def _start(self, descent: Descent) -> None:
         if self._peers is None:
+            self._check()  # of replaced workers, too: a node that joined may have other versions
             self.sync(descent)
             self._connect()
         self._running = [actor.step.remote(*self._next) for actor in self._actors]

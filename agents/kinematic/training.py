@@ -39,6 +39,7 @@ from agents.training.loggers import check_logger
 from agents.training.monitor import Display
 from agents.training.ray_session import ray_cluster
 from agents.training.stage import Budget, Stopper
+from agents.training.watched import beside_ray
 from questsim.errors import INTERRUPTED, InputError, at_least, one_of_these
 from questsim.motion.motion import Motion
 
@@ -57,6 +58,7 @@ MAY_DIFFER_ON_RESUME = {
 }
 
 
+@beside_ray
 def train_system(args: TrainSystemArgs) -> int:
     """Run a training of ``args.agent``; returns the exit code.
 

@@ -15,6 +15,7 @@ from agents.sweep import report
 from agents.sweep.options import SweepArgs
 from agents.sweep.runs import Run, as_finished, executor, finished, runs_of
 from agents.sweep.settings import SettingSource, settings_of
+from agents.training.watched import beside_ray
 from questsim.errors import InputError, at_least
 from questsim.files import read_yaml, whole_file
 
@@ -29,6 +30,15 @@ def sweep(args: SweepArgs) -> int:
     Raises:
         InputError: for options, motions or a folder that cannot be used.
     """
+    return _sweep(args) if args.ray is None else _sweep_on_cluster(args)
+
+
+@beside_ray
+def _sweep_on_cluster(args: SweepArgs) -> int:
+    return _sweep(args)
+
+
+def _sweep(args: SweepArgs) -> int:
     at_least(1, seeds=args.seeds, workers=args.workers, threads=args.threads, trials=args.trials)
     at_least(0, seed=args.seed)
     settings = settings_of(args)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import multiprocessing
+import os
 import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -13,8 +14,6 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from agents.policy.checkpoint import read_card
 from agents.resolve import policy_folder
 from agents.run_folder import RECORD, packed, read_run, unpack, versions
@@ -22,7 +21,13 @@ from agents.sweep.options import SweepArgs
 from agents.sweep.settings import Setting
 from agents.training.learner import TrainingError
 from agents.training.options import TrainArgs
-from agents.training.ray_session import check_versions, ray_cluster
+from agents.training.ray_session import (
+    RETRIES,
+    as_in_the_command,
+    check_room,
+    ray_cluster,
+)
+from agents.training.ray_session import result as result_of
 from agents.training.train_policy import train
 from questsim.errors import InputError
 from questsim.extensions import load_extensions
@@ -95,6 +100,7 @@ def executor(args: SweepArgs) -> Iterator[Callable[[Run], Future[dict[str, Any]]
     """
     if args.ray is not None:
         with ray_cluster(args.ray, args.workers * args.threads), _on_nodes(args) as submit:
+            check_room(args.workers, args.threads)
             yield submit
         return
     # A new process for each run: nothing of one run can change the bits of the next.
@@ -165,21 +171,17 @@ def _on_nodes(args: SweepArgs) -> Iterator[Callable[[Run], Future[dict[str, Any]
     import ray
     from ray import exceptions as errors
 
-    task = ray.remote(num_cpus=args.threads, max_retries=3, max_calls=1)(_train_on_node)
-    own = versions()
+    task = ray.remote(num_cpus=args.threads, max_retries=RETRIES, max_calls=1)(_train_on_node)
+    own, here = versions(), os.getcwd()
 
     def call(run: Run) -> dict[str, Any]:
         try:
-            result, files = ray.get(task.remote(run, own))
-        except errors.RayTaskError as error:
-            if isinstance(error.cause, InputError):
-                raise error.cause from None
-            raise
-        except (errors.WorkerCrashedError, errors.NodeDiedError):
+            found, files = result_of(task.remote(run, own, here))
+        except (errors.WorkerCrashedError, errors.NodeDiedError, errors.OutOfMemoryError):
             fix = "see Ray's logs, then continue by --resume"
-            raise InputError("its node died several times", run.folder, fix) from None
+            raise InputError(f"died {RETRIES + 1} times", run.folder, fix) from None
         unpack(files, run.folder)
-        return result
+        return found
 
     pool = ThreadPoolExecutor(args.workers)
     try:
@@ -190,12 +192,9 @@ def _on_nodes(args: SweepArgs) -> Iterator[Callable[[Run], Future[dict[str, Any]
     pool.shutdown()
 
 
-def _train_on_node(run: Run, wanted: dict[str, str]) -> tuple[dict[str, Any], bytes]:
+def _train_on_node(run: Run, wanted: dict[str, str], here: str) -> tuple[dict[str, Any], bytes]:
     """Train a run in a temporary folder of this node; its result, and its files as a tar."""
-    load_extensions()
-    check_versions(versions(), wanted, "a node of --ray")
-    torch.set_num_threads(1)
-    with tempfile.TemporaryDirectory() as place:
+    with as_in_the_command(wanted, here, 1), tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "run"
-        result = train_run(replace(run, args=replace(run.args, out=folder)))
-        return result, packed(folder)
+        found = train_run(replace(run, args=replace(run.args, out=folder)))
+        return found, packed(folder)

@@ -79,13 +79,14 @@ class ActorPool(VecEnv):
         check_room(count, batch.threads, self._batch.memory)
         self._shared = ray.put(self._batch)
         self._change: tuple[Any, int] | None = None
+        self._new: dict[int, Any] = {}  # versions of workers that were replaced
         self._actors: list[Any] = [self._make(k) for k in range(count)]
         self._states: list[dict[str, Any] | None] = [None] * count
         self._ready: list[tuple[str, tuple[Any, ...]]] = []
         self._episodes: list[tuple[np.ndarray, ...]] = []
         about = self._all(lambda actor: actor.call.remote("describe"))
         for number, found in enumerate(about):
-            check_versions(found.pop("versions"), versions(), f"worker {number}")
+            check_versions(found["versions"], versions(), f"worker {number}")
         self.layout: dict[str, slice] = about[0]["layout"]
         self.torque_limits: np.ndarray = about[0]["torque_limits"]
         self.damping: np.ndarray = about[0]["damping"]
@@ -137,6 +138,7 @@ class ActorPool(VecEnv):
     def _prepare(self, k: int) -> None:
         """Bring a new worker into the state after the last rollout."""
         actor = self._actors[k]
+        self._new[k] = actor.call.remote("versions")
         for method, args in self._ready:
             actor.call.remote(method, *args)
         if self._states[k] is not None:
@@ -178,6 +180,9 @@ class ActorPool(VecEnv):
 
     def _take(self, played: list[Played], steps: int, after: AfterStep) -> None:
         """Keep the states after a rollout and report its steps."""
+        while self._new:  # a node that joined may have others
+            number, found = self._new.popitem()
+            check_versions(result(found), versions(), f"worker {number}")
         self._states = [part.state for part in played]
         if self._change is not None:  # from now on replaced workers begin with these clips
             self._change, self._shared = None, self._ray.put(self._batch)

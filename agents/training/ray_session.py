@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import socket
+import sys
 import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager, nullcontext
 from typing import Any
 
 import torch
@@ -21,6 +22,8 @@ from questsim.extensions import load_extensions
 
 RETRIES = 3
 """Attempts after the first one of a job whose process or node died."""
+QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+"""Options of ``ray.init``."""
 STARTS = 3
 """Attempts to start Ray on this machine."""
 PATIENCE = {
@@ -60,6 +63,8 @@ def ray_cluster(address: str | None, cores: int) -> Iterator[None]:
             os.environ.setdefault(name, value)
     else:
         os.environ.setdefault("RAY_AUTH_MODE", "token")
+        # By default Ray tries 20 times, which takes a quarter of an hour.
+        os.environ.setdefault("RAY_NUM_REDIS_GET_RETRIES", "2")
     try:
         import ray
     except ModuleNotFoundError:
@@ -67,7 +72,10 @@ def ray_cluster(address: str | None, cores: int) -> Iterator[None]:
         raise InputError("needs Ray, which is not installed", "--workers", fix) from None
     began = not ray.is_initialized()
     if began:
-        _begin(ray, address, cores)
+        if address is None:
+            _start(ray, cores)
+        else:
+            _connect(ray, address)
     try:
         yield
     finally:
@@ -75,20 +83,51 @@ def ray_cluster(address: str | None, cores: int) -> Iterator[None]:
             ray.shutdown()
 
 
-def _begin(ray: Any, address: str | None, cores: int) -> None:
-    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
-    if address is not None:
-        try:
-            ray.init(address=address, **quiet)
-        except Exception as error:  # Ray raises plain ones, too
-            what = f"no Ray cluster answers there: {_reason(error)}"
-            fix = "start it by: ray start --head (docs/scaling.md)"
-            raise InputError(what, f"--ray {address}", fix) from None
-        return
+def _connect(ray: Any, address: str) -> None:
+    where, fix = f"--ray {address}", "start it by: ray start --head (docs/scaling.md)"
+    host, _, port = address.rpartition(":")
+    if not host or "/" in host or not port.isdecimal():
+        raise InputError("is not an address HOST:PORT", where, "as in HEAD:6379")
+    try:  # Ray itself would try for minutes
+        socket.create_connection((host.strip("[]"), int(port)), timeout=CHECK_S).close()
+    except (OSError, OverflowError, UnicodeError) as error:
+        raise InputError(f"no Ray cluster answers there: {error}", where, fix) from None
+    try:
+        with _silent():
+            ray.init(address=address, **QUIET)
+    except Exception as error:  # Ray raises plain ones, too
+        what = f"no Ray cluster answers there: {_reason(error)}"
+        raise InputError(what, where, fix) from None
+    on_head = ray.remote(num_cpus=0, resources={"node:__internal_head__": 0.001})(_authentication)
+    if result(on_head.remote()) != "token":
+        ray.shutdown()
+        fix = "set RAY_AUTH_MODE=token on every node and start the cluster again (docs/scaling.md)"
+        raise InputError("whoever reaches this cluster can run code there", where, fix)
+
+
+def _authentication() -> str:
+    return os.environ.get("RAY_AUTH_MODE", "token")
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Context without Ray's own lines on stderr about an error that it then raises."""
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def _start(ray: Any, cores: int) -> None:
     for attempt in range(1, STARTS + 1):
         try:
             # "local": without it Ray would join a cluster that happens to run here.
-            ray.init("local", num_cpus=cores, include_dashboard=False, **quiet)
+            ray.init("local", num_cpus=cores, include_dashboard=False, **QUIET)
             return
         except Exception as error:  # a plain one, if the start takes Ray longer than 30 s
             if attempt == STARTS:
@@ -99,16 +138,7 @@ def _begin(ray: Any, address: str | None, cores: int) -> None:
 
 
 def _reason(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0][:200]
-
-
-def ray_runs() -> bool:
-    """Whether this process uses a cluster already."""
-    try:
-        import ray
-    except ModuleNotFoundError:
-        return False
-    return ray.is_initialized()
+    return (" ".join(str(error).split()) or type(error).__name__)[:400]
 
 
 # -- waiting for results -----------------------------------------------------------------------
@@ -213,6 +243,18 @@ def meeting_file() -> Iterator[str | None]:
 # -- work that is independent clip by clip -----------------------------------------------------
 
 
+def check_workers(workers: int, address: str | None) -> None:
+    """Check the options ``--workers`` and ``--ray``.
+
+    Raises:
+        InputError: there are fewer than 0 workers, or a cluster without workers.
+    """
+    if workers < 0:
+        raise InputError(f"is {workers}, below 0", "--workers")
+    if workers == 0 and address is not None:
+        raise InputError("needs --workers", "--ray", "add --workers N")
+
+
 @contextmanager
 def ray_map(workers: int, address: str | None = None, cores: int = 1) -> Iterator[Mapper]:
     """A function like ``map`` whose calls run on Ray workers; plain ``map`` without workers.
@@ -226,11 +268,8 @@ def ray_map(workers: int, address: str | None = None, cores: int = 1) -> Iterato
         InputError: Ray is not installed, no cluster answers, it has too few cores, a node has
             other versions, or a call itself raised it.
     """
-    if workers < 0:
-        raise InputError(f"is {workers}, below 0", "--workers")
+    check_workers(workers, address)
     if workers == 0:
-        if address is not None:
-            raise InputError("needs --workers", "--ray", "add --workers N")
         yield map
         return
     with ray_cluster(address, workers * cores):
@@ -278,7 +317,7 @@ def _mapped(workers: int, cores: int) -> Mapper:
     import ray
     from ray import exceptions as errors
 
-    own = versions()
+    own, here = versions(), os.getcwd()
     task = ray.remote(num_cpus=cores, max_retries=RETRIES)(_call)
 
     def of(reference: Any) -> Any:
@@ -294,7 +333,7 @@ def _mapped(workers: int, cores: int) -> Mapper:
         for job in jobs:
             if len(waiting) == workers:
                 yield of(waiting.popleft())
-            waiting.append(task.remote(shared, job, own, cores))
+            waiting.append(task.remote(shared, job, own, here, cores))
         while waiting:
             yield of(waiting.popleft())
 
@@ -302,12 +341,33 @@ def _mapped(workers: int, cores: int) -> Mapper:
 
 
 def _call(
-    function: Callable[[JobT], ResultT], job: JobT, wanted: dict[str, str], threads: int
+    function: Callable[[JobT], ResultT],
+    job: JobT,
+    wanted: dict[str, str],
+    folder: str,
+    threads: int,
 ) -> ResultT:
+    with as_in_the_command(wanted, folder, threads):
+        return function(job)
+
+
+@contextmanager
+def as_in_the_command(wanted: dict[str, str], folder: str, threads: int) -> Iterator[None]:
+    """Context of work for a command on a node of its cluster.
+
+    Args:
+        wanted: versions of the command.
+        folder: in which the command runs; on a node that has it, too, relative paths mean the same.
+        threads: of PyTorch.
+
+    Raises:
+        InputError: the node has other versions.
+    """
     load_extensions()
     check_versions(versions(), wanted, "a node of --ray")
     torch.set_num_threads(threads)
-    return function(job)
+    with chdir(folder) if os.path.isdir(folder) else nullcontext():
+        yield
 
 
 def check_versions(found: dict[str, str], wanted: dict[str, str], where: str) -> None:

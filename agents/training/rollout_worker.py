@@ -121,8 +121,12 @@ class RolloutWorker:
             "torque_limits": env.torque_limits,
             "damping": env.damping,
             "reward_names": tuple(env.reward_names),
-            "versions": versions(),
+            "versions": self.versions(),
         }
+
+    def versions(self) -> dict[str, str]:
+        """Versions of the libraries on the worker's node."""
+        return versions()
 
     def apply(self, function: Callable[[Any], Any], job: Any) -> Any:
         """Call a function; for work between rollouts."""

@@ -24,13 +24,13 @@ from agents.training.loggers import check_logger
 from agents.training.monitor import Display
 from agents.training.options import TrainArgs
 from agents.training.presets import PRESETS, PPOConfig, Preset
-from agents.training.ray_session import ray_cluster, ray_runs
+from agents.training.ray_session import ray_cluster
 from agents.training.run_stage import Training, run_stage
 from agents.training.specialists import read_specialist
 from agents.training.stage import Stopper
 from agents.training.start_estimates import start_estimates
 from agents.training.training_clips import estimate_pairs, load_clips
-from agents.training.watched import watched
+from agents.training.watched import beside_ray
 from questsim.errors import INTERRUPTED, InputError, at_least
 
 MAY_DIFFER_ON_RESUME = {
@@ -53,16 +53,19 @@ MAY_DIFFER_ON_RESUME = {
 
 
 def train(args: TrainArgs) -> int:
-    """See ``train_here``; with ``--workers`` in a process of its own."""
-    at_least(0, workers=args.workers)  # before that process starts
+    """Run a training; returns the exit code.
+
+    Raises:
+        InputError: for options, motions or a run folder that cannot be used.
+    """
+    at_least(0, workers=args.workers)  # before another process starts
     _refuse_unused(args)
-    if args.workers and not ray_runs():
-        return watched(train_here, args)
     return train_here(args)
 
 
+@beside_ray
 def train_here(args: TrainArgs) -> int:
-    """Run a training; returns the exit code.
+    """See ``train``.
 
     Raises:
         InputError: for options, motions or a run folder that cannot be used.

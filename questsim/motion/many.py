@@ -35,6 +35,8 @@ MAX_KNOWN_CM, SAMPLES = 30.0, 12
 """The same for known skeletons, in some frames: there a file's values are wrong (radians, say)."""
 MANY = 64
 """From this many files on, a progress bar is shown and processes are used if allowed."""
+PART = 8
+"""Files that a worker of another node reads at a time."""
 MAX_SHOWN = 20
 """How many skipped files of a motion argument are listed by name."""
 
@@ -70,6 +72,13 @@ class Refused:
 
     path: Path
     message: str
+
+
+PartMapper = Callable[
+    [Callable[[Sequence[Path]], list["Retargeted | Refused"]], Sequence[Sequence[Path]]],
+    Iterable[list["Retargeted | Refused"]],
+]
+"""Like ``map`` over parts of the files."""
 
 
 def read_and_retarget(path: Path, options: ReadOptions, with_error: bool = False) -> Retargeted:
@@ -170,18 +179,40 @@ def _read(path: Path, options: ReadOptions, with_error: bool) -> Retargeted | Re
         return Refused(path, str(error))
 
 
+def _read_part(
+    paths: Sequence[Path], options: ReadOptions, with_error: bool
+) -> list[Retargeted | Refused]:
+    return [_read(path, options, with_error) for path in paths]
+
+
 def read_many(
-    paths: Sequence[Path], options: ReadOptions, *, with_error: bool = False
+    paths: Sequence[Path],
+    options: ReadOptions,
+    *,
+    with_error: bool = False,
+    mapper: PartMapper | None = None,
 ) -> Iterable[Retargeted | Refused]:
-    """Reads and retargets files in order; on several processes if the caller allows them."""
+    """Reads and retargets files in order; on several processes if the caller allows them.
+
+    Args:
+        paths: the files.
+        options: how they are read.
+        with_error: whether to measure errors and feet.
+        mapper: reads them elsewhere, ``PART`` files at a time; the results are the same.
+    """
+    from tqdm import tqdm
+
+    shown = partial(tqdm, total=len(paths), desc="retargeting", unit=" clips", disable=None)
+    if mapper is not None:
+        parts = [paths[i : i + PART] for i in range(0, len(paths), PART)]
+        read = partial(_read_part, options=options, with_error=with_error)
+        yield from shown(result for part in mapper(read, parts) for result in part)
+        return
     task: Callable[[Path], Retargeted | Refused]
     task = partial(_read, options=options, with_error=with_error)
     if len(paths) < MANY:
         yield from map(task, paths)
         return
-    from tqdm import tqdm
-
-    shown = partial(tqdm, total=len(paths), desc="retargeting", unit=" clips", disable=None)
     workers = min(allowed(), os.cpu_count() or 1)
     if workers < 2:
         yield from shown(map(task, paths))

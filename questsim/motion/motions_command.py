@@ -17,7 +17,7 @@ from questsim.motion.clip import Clip
 from questsim.motion.datasets import DATASETS, fetch, is_fetched
 from questsim.motion.library import Library, save_library
 from questsim.motion.loaded import load_libraries, split_libraries
-from questsim.motion.many import Refused, Retargeted, read_many
+from questsim.motion.many import PartMapper, Refused, Retargeted, read_many
 from questsim.motion.motion import Motion
 from questsim.motion.naming import file_names, named, numbered
 from questsim.motion.reading import ReadOptions, explain, read_as_recorded
@@ -29,10 +29,14 @@ from questsim.motion_options import FetchArgs, ImportArgs, ListMotionsArgs, Mapp
 MAX_REPORTS = 20
 
 
-def import_motions(args: ImportArgs) -> None:
+def import_motions(args: ImportArgs, mapper: PartMapper | None = None) -> None:
     """Writes a library of the files' motions and clips; prints how each was taken.
 
     Files that cannot be used are named on stderr, with the reason, and counted.
+
+    Args:
+        args: the options.
+        mapper: see ``read_many``.
 
     Raises:
         InputError: no file can be used (with ``strict``: any cannot), or the library cannot be
@@ -54,7 +58,7 @@ def import_motions(args: ImportArgs) -> None:
     raw, libraries = split_libraries(files)
     if args.explain:
         _explain(raw[:MAX_REPORTS], options)
-    done = _read(raw, options, skipped, args.explain)
+    done = _read(raw, options, skipped, args.explain, mapper)
     library, unread = load_libraries(libraries)
     for refused in unread:
         skipped.add(refused.message)
@@ -143,12 +147,17 @@ def check_library_path(out: Path) -> None:
 
 
 def _read(
-    files: Sequence[Path], options: ReadOptions, skipped: _Skipped, explained: bool
+    files: Sequence[Path],
+    options: ReadOptions,
+    skipped: _Skipped,
+    explained: bool,
+    mapper: PartMapper | None,
 ) -> dict[int, Retargeted]:
     """The files that can be used, by index; says of the first ones how they were read."""
     done: dict[int, Retargeted] = {}
     names = file_names(files)
-    for index, result in enumerate(read_many(files, options, with_error=True)):
+    results = read_many(files, options, with_error=True, mapper=mapper)
+    for index, result in enumerate(results):
         if isinstance(result, Refused):
             skipped.add(result.message)
             continue
