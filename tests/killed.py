@@ -13,12 +13,12 @@ from own_cluster import own_cluster
 ROOT = Path(__file__).parents[1]
 POLICY = (
     "train --preset smoke --stage teacher --motions synthetic:stand --envs 4 --threads 1"
-    " --steps 1600 --set validation_clips=1 stages.teacher.evaluate_every=32"
+    " --steps 800 --set validation_clips=1 stages.teacher.evaluate_every=64"
     " stages.teacher.learning.rollout_steps=4 stages.teacher.learning.minibatch=16"
 )
 SYSTEM = (
-    "train --agent hmdposer --preset smoke --motions synthetic:stand --threads 1 --steps 60"
-    " --set stages.network.evaluate_every=2 validation=4"
+    "train --agent hmdposer --preset smoke --motions synthetic:stand --threads 1 --steps 40"
+    " --set stages.network.evaluate_every=4 validation=4"
 )
 
 

@@ -312,7 +312,10 @@ class RemotePolicyPlayer:
         if not self._ready:
             self._pool.get_ready("learn_policy", policy)
             self._ready = True
-        played = self._pool.play(policy, len(buffer.rewards), 0.0, after)
+        return self._filled(self._pool.play(policy, len(buffer.rewards), 0.0, after), buffer)
+
+    def _filled(self, played: list[Played], buffer: TensorRolloutBuffer) -> Truncated:
+        """Copy the workers' parts of a rollout into the buffer."""
         width = buffer.rewards.shape[1] // len(played)
         truncated: Truncated = []
         for k, part in enumerate(played):
