@@ -311,6 +311,7 @@ def not_yet_connected(monkeypatch):
     ray = pytest.importorskip("ray", reason="Ray is not installed")
     monkeypatch.setattr(ray, "is_initialized", lambda: False)
     monkeypatch.setattr("agents.training.watched._watched", True)  # in this process
+    monkeypatch.setenv("RAY_AUTH_MODE", "token")  # else it would stay set for other tests
     return ray
 
 

@@ -151,7 +151,8 @@ def test_an_import_on_workers_makes_the_same_library(tmp_path, cluster, monkeypa
         np.testing.assert_array_equal(one, other)
 
 
-def test_a_sweep_on_a_cluster_trains_as_train_does(tmp_path, cluster, capsys):
+def test_a_sweep_on_a_cluster_trains_as_train_does(tmp_path, cluster, capsys, monkeypatch):
+    monkeypatch.setenv("RAY_AUTH_MODE", "token")  # else it would stay set for other tests
     run(f"train {QUICK} {KL}=0.02 --out", tmp_path / "alone")
     line = f"sweep {QUICK} --values {KL}=0.02 --seeds 1 --ray in-use:1 --out"
     run(line, tmp_path / "sweep")
