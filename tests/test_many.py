@@ -199,6 +199,23 @@ def test_command_lines_read_many_files_on_all_cores(tmp_path, monkeypatch):
     assert asked == [3]
 
 
+def test_reading_many_files_shows_a_progress_bar_on_a_terminal(tmp_path, monkeypatch):
+    for i in range(3):
+        person(tmp_path / "many" / f"{i}.bvh")
+    bars = []
+
+    def bar(items, **options):
+        bars.append(options)
+        return items
+
+    monkeypatch.setattr(many, "MANY", 2)
+    monkeypatch.setattr("tqdm.tqdm", bar)
+    assert len(load_motions(str(tmp_path / "many"))) == 3  # as evaluate.py reads them
+    (options,) = bars
+    assert (options["total"], options["desc"]) == (3, "retargeting")
+    assert options["disable"] is None  # shown on a terminal alone
+
+
 def test_the_toes_of_a_runner_bent_forward_do_not_point_backwards():
     import numpy as np
 

@@ -118,3 +118,19 @@ def test_a_hierarchy_that_begins_at_the_chest_turns_chest_and_hips(tmp_path):
     }
     degrees = {j: np.degrees(np.arctan2(-v[0], v[1])) for j, v in left.items()}
     assert degrees["shoulder"] - degrees["hip"] == pytest.approx(50.0, abs=0.5)
+
+
+def test_bones_that_stretch_are_refused_where_a_file_gives_all_positions(tmp_path, capsys):
+    path = tmp_path / "a.bvh"
+    write_rig(path, RIGS["100STYLE"])
+    assert_right(RIGS["100STYLE"], tmp_path)  # rigid bones with positions of all joints
+    lines = path.read_text().splitlines()
+    names = [line.split()[1] for line in lines if line.split()[0] in ("ROOT", "JOINT")]
+    row = lines[-10].split()
+    column = 6 * names.index("LeftKnee") + 1  # its place below the hip
+    row[column] = str(1.2 * float(row[column]))
+    lines[-10] = " ".join(row)
+    path.write_text("\n".join(lines))
+    assert main(["motions", "import", str(path), "--out", str(tmp_path / "b.npz")]) == 2
+    said = capsys.readouterr().err
+    assert "'LeftKnee' is 8.6 cm further" in said and "bones are not rigid" in said
