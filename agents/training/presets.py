@@ -153,8 +153,9 @@ CPU = Preset(
     minutes=45.0,
     num_envs=256,
     expect=(
-        "people on the spot are followed from the start, walking, turning and running after about "
-        "4 M steps of the teacher (13 minutes on two idle cores); see docs/training.md"
+        "the teacher follows people on the spot from the start, most embedded walks after 0.3 M "
+        "steps (2 minutes on two idle cores), recorded walking, turning and running after about "
+        "4 M (15 minutes); the student learns it afterwards; see docs/tutorial.md"
     ),
     stages={
         "teacher": StageConfig(
