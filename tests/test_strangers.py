@@ -1,5 +1,7 @@
 """Files as a stranger's exporter writes them import by command, joints where they truly are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import rigs
@@ -9,10 +11,13 @@ from rig_styles import RIGS
 from rigs import Rig, write_rig
 from test_recognise import chain
 
+from questsim import rotations as rot
 from questsim.cli import main
 from questsim.motion.bvh import read_bvh
 from questsim.motion.joint_names import understand
 from questsim.motion.library import load_library
+from questsim.motion.motion import Motion
+from questsim.motion.reading import ReadOptions, read_motion
 from questsim.motion.recognise import find_roles
 from questsim.skeleton import JOINTS
 
@@ -118,6 +123,28 @@ def test_a_hierarchy_that_begins_at_the_chest_turns_chest_and_hips(tmp_path):
     }
     degrees = {j: np.degrees(np.arctan2(-v[0], v[1])) for j, v in left.items()}
     assert degrees["shoulder"] - degrees["hip"] == pytest.approx(50.0, abs=0.5)
+
+
+def test_feet_of_someone_who_lies_first_are_level_when_they_stand(tmp_path, monkeypatch):
+    """Without a rest pose, how the feet stand shows the axes of their joints."""
+    made = rigs.true_motion
+
+    def lies_first(rig: Rig) -> Motion:
+        motion = made(rig)
+        lies = np.arange(len(motion)) < len(motion) // 3
+        turns, root = motion.rotations.copy(), motion.root_position.copy()
+        on_back = rot.from_rotvec(np.array([0.0, -np.pi / 2, 0.0]))
+        turns[lies, 0] = rot.as_quat(on_back * rot.as_rotation(turns[lies, 0]))
+        root[lies] = [0.0, 0.0, 0.15]
+        return replace(motion, rotations=turns, root_position=root)
+
+    monkeypatch.setattr(rigs, "true_motion", lies_first)
+    rig = replace(RIGS["Mixamo"], pose="own", frames=120)
+    truth = write_rig(tmp_path / "a.bvh", rig)
+    motion, _ = read_motion(tmp_path / "a.bvh", ReadOptions(accept=True))
+    (_, found), (_, true) = motion.forward_kinematics(), truth.forward_kinematics()
+    for ankle in (JOINTS.index("left_ankle"), JOINTS.index("right_ankle")):
+        assert np.degrees(rot.angle_between(found[:, ankle], true[:, ankle])).mean() < 8.0
 
 
 def test_bones_that_stretch_are_refused_where_a_file_gives_all_positions(tmp_path, capsys):

@@ -25,6 +25,8 @@ SNAP = np.cos(np.radians(8.0))
 SPLAY = np.cos(np.radians(12.0))
 """If the legs are further apart than this in the rest pose, the feet are splayed with the shins."""
 TRUNK_ENDS = ("hip", "shoulder")
+ON_FEET = 0.7
+"""Cosine of the trunk to the vertical in frames that show how the feet stand."""
 MIN_BEND = 0.1
 """Below this mean sine of the hinge angle, a limb bends too little to find its axis."""
 
@@ -203,6 +205,8 @@ def _from_motion(recording: Recording, index: Mapping[str, int]) -> Rest | None:
     stands = upright >= min(0.9, float(np.percentile(upright, 60)))
     if not stands.any():  # NaN: bones around the trunk have no length
         return None
+    # The feet of someone who lies before getting up are low and still, but not level.
+    on_feet = upright >= min(ON_FEET, float(np.percentile(upright, 60)))
     up_world = np.broadcast_to(up, trunk.shape)
     left_world = moving.places["left_hip"] - moving.places["right_hip"]
     shoulders = moving.places["left_shoulder"] - moving.places["right_shoulder"]
@@ -235,7 +239,7 @@ def _from_motion(recording: Recording, index: Mapping[str, int]) -> Rest | None:
             # The left elbow bends about -z of the T-pose, the right one about +z.
             hinge = -sign * arms[i] if arms else moving.own(name, up_world, stands)
             axes[name] = _lateral(sign * rot.unit(bone), hinge)
-        _ends(moving, index, side, up_world, axes)
+        _ends(moving, index, side, up_world, axes, on_feet)
     return Rest(axes, "how the performer moves")
 
 
@@ -265,6 +269,7 @@ def _ends(
     side: str,
     up_world: np.ndarray,
     axes: dict[str, np.ndarray],
+    on_feet: np.ndarray,
 ) -> None:
     """Adds collarbone, hand, foot and toes, aligned on average with their neighbours."""
     parents = {
@@ -279,7 +284,7 @@ def _ends(
         turned = moving.turns[near] @ axes[near]
         mean = np.einsum("tji,tjk->tik", moving.turns[name], turned).mean(axis=0)
         if joint == "ankle":
-            _foot(moving, side, up_world, axes)
+            _foot(moving, side, up_world, axes, on_feet)
             continue
         u, _, v = np.linalg.svd(mean)
         axes[name] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
@@ -294,13 +299,19 @@ def _above(joint: str, axes: Mapping[str, np.ndarray]) -> str:
     return "root"
 
 
-def _foot(moving: _Moving, side: str, up_world: np.ndarray, axes: dict[str, np.ndarray]) -> None:
+def _foot(
+    moving: _Moving,
+    side: str,
+    up_world: np.ndarray,
+    axes: dict[str, np.ndarray],
+    on_feet: np.ndarray,
+) -> None:
     """The foot's axes: level while it is still and low, pointing towards the toes."""
     name, knee = f"{side}_ankle", f"{side}_knee"
     place = moving.places[name]
     height = np.sum(place * up_world, axis=-1)
     speed = np.linalg.norm(np.gradient(place, axis=0), axis=-1) if len(place) > 1 else height * 0
-    low = height <= np.percentile(height, 40)
+    low = on_feet & (height <= np.percentile(height[on_feet], 40))
     rests = low & (speed <= np.percentile(speed[low], 60))
     up = rot.unit(moving.own(name, up_world, rests))
     if f"{side}_toe" in moving.places:
