@@ -23,7 +23,8 @@ def own_cluster(folder: Path, *cores: int) -> tuple[Any, list[Any]]:
         The cluster, and the nodes beside its head.
     """
     token = folder / "token"
-    token.write_text(secrets.token_hex(32))
+    if not token.exists():  # Ray reads it once: a second cluster of this process has the same
+        token.write_text(secrets.token_hex(32))
     os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(token)}
     os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"} | PATIENCE
     from ray.cluster_utils import Cluster
