@@ -145,7 +145,9 @@ def test_a_folder_without_motions_and_other_files_are_refused(tmp_path):
     with pytest.raises(InputError, match="is not JSON"):
         load_motions(str(tmp_path / "notes.txt"))
     (tmp_path / "notes.docx").write_text("hello")
-    with pytest.raises(InputError, match=r"is not one of \.bvh"):
+    with pytest.raises(
+        InputError, match=r"extension '\.docx' is not one of \.bvh.*; give BVH.* folder or zip"
+    ):
         load_motions(str(tmp_path / "notes.docx"))
 
 

@@ -40,10 +40,11 @@ def motion_files(path: str | Path) -> list[Path]:
         if path.suffix.lower() == ".asf":
             raise InputError("is a skeleton without motion", path, "give its .amc files")
         if path.suffix.lower() not in (*SUFFIXES, *TEXT_SUFFIXES):
-            fix = f"give {KINDS}"
+            known = ", ".join((*SUFFIXES, *TEXT_SUFFIXES))
+            fix = f"give {KINDS}, or a folder or zip of these"
             if path.suffix.lower() == ".fbx":
                 fix = "export it as BVH first (docs/motion.md says how with Blender)"
-            raise InputError(f"is not one of {', '.join((*SUFFIXES, *TEXT_SUFFIXES))}", path, fix)
+            raise InputError(f"the extension {path.suffix!r} is not one of {known}", path, fix)
         return [path]
     return _in_folder(path, path)
 
