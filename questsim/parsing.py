@@ -116,11 +116,12 @@ def _unknown(
         return None
     found = [word for word in re.split(r"[,\s]+", " ".join(part).partition(":")[2]) if word]
     option = next((word for word in found if word.startswith("--")), None)
-    near = [
-        _option(line) for line in heads.get("Perhaps you meant", ()) if line.startswith("    -")
-    ]
     if option is None:
         return InputError(f"unexpected {(found or [''])[0]!r}: it belongs to no option", fix=fix)
+    # The second title is that of several unknown options.
+    titles = ("Perhaps you meant", f"Arguments similar to {option}")
+    similar = [line for title in titles for line in heads.get(title, ())]
+    near = [_option(line) for line in similar if line.startswith("    -")]
     meant = f"did you mean {near[0]}? " if near else ""
     return InputError(f"there is no option {option}", fix=meant + fix)
 

@@ -116,6 +116,7 @@ def test_the_examples_of_the_first_page_can_be_parsed():
         ("--heights 1.4", "--heights: is '1.4', not two numbers; see"),
         ("--preset q", "--preset: is 'q'; choose from cpu, paper, smoke"),
         ("--minute 3", "there is no option --minute; did you mean --minutes? see"),
+        ("--motion m --minuts 3", "there is no option --motion; did you mean --motions? see"),
         ("--resume yes", "unexpected 'yes': it belongs to no option; see"),
         ("--stage", "--stage: needs a value; see"),
         ("--randomisation.noise-m 0.2 0.1", "randomisation: noise_m is (0.2, 0.1), not a range"),
