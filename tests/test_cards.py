@@ -24,10 +24,17 @@ from docs.figures.comparison_table import (
 from questsim.errors import InputError
 
 
-def report_of(names, folder, value=1.234):
+def report_of(names, folder, value=1.234, ms=None):
     trained = {name: read_system_card(SHIPPED / name)["training"] for name in names}
     rows = [
-        {"agent": name, "scenario": "6", "clips": 4, "pooled": dict.fromkeys(SHOWN, value)}
+        {
+            "agent": name,
+            "scenario": "6",
+            "clips": 4,
+            "parameters": 10,
+            "ms": ms,
+            "pooled": dict.fromkeys(SHOWN, value),
+        }
         for name in names
     ]
     data = {"motions": "some:test", "clips": 4}
@@ -76,13 +83,14 @@ def test_cards_get_new_figures_and_keep_the_rest(tmp_path):
 def test_a_comparison_of_one_agent_replaces_its_rows_alone(tmp_path):
     for name in ("lgsik", "dragposer"):
         shutil.copytree(SHIPPED / name, tmp_path / name)
-    rewrite_cards(report_of(["lgsik", "dragposer"], tmp_path), tmp_path)
+    rewrite_cards(report_of(["lgsik", "dragposer"], tmp_path, ms=2.5), tmp_path)
     (tmp_path / "one").mkdir()
     rewrite_cards(report_of(["lgsik"], tmp_path / "one", value=9.0), tmp_path)
     kept = json.loads((tmp_path / SOURCE.name).read_text(encoding="utf-8"))
-    assert [(row["agent"], row["pooled"]["root_cm"]) for row in kept["rows"]] == [
-        ("lgsik", 9.0),
-        ("dragposer", 1.234),
+    # The new row was not timed and has a network of the same size: the time stays.
+    assert [(row["agent"], row["pooled"]["root_cm"], row["ms"]) for row in kept["rows"]] == [
+        ("lgsik", 9.0, 2.5),
+        ("dragposer", 1.234, 2.5),
     ]
     other = report_of(["lgsik"], tmp_path / "one")
     content = json.loads(other.read_text())

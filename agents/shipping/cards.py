@@ -76,6 +76,8 @@ def rewrite_cards(report: Path, into: Path = SHIPPED) -> list[Path]:
 def merged(fresh: dict[str, Any], kept: dict[str, Any], report: Path = SOURCE) -> dict[str, Any]:
     """The kept report with the rows that a fresh one has of some of its agents.
 
+    A row without times gets those of the kept row, if that has a network of the same size.
+
     Args:
         fresh: a report; if it lacks no agent of the kept one it is returned as it is.
         kept: the report of all agents.
@@ -97,9 +99,14 @@ def merged(fresh: dict[str, Any], kept: dict[str, Any], report: Path = SOURCE) -
             report,
             "compare all agents, or the same clips",
         )
+    timed = {(row["agent"], row["scenario"], row["parameters"]): row["ms"] for row in kept["rows"]}
     order = dict.fromkeys(row["agent"] for row in (*kept["rows"], *fresh["rows"]))
     rows = [row for row in kept["rows"] if row["agent"] not in new["agents"]]
-    rows += [row for row in fresh["rows"] if row["agent"] in new["agents"]]
+    for row in fresh["rows"]:
+        if row["agent"] in new["agents"]:
+            # Networks of the same size take the same time, whatever their weights.
+            before = timed.get((row["agent"], row["scenario"], row["parameters"]))
+            rows.append(row | {"ms": before if row["ms"] is None else row["ms"]})
     made_with = old.get("made_with", {}) | dict.fromkeys(new["agents"], new["versions"])
     context = old | {"agents": old["agents"] | new["agents"], "made_with": made_with}
     in_order = [row for name in order for row in rows if row["agent"] == name]
