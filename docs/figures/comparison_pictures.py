@@ -3,8 +3,9 @@
     python -m docs.figures.comparison_pictures SCORES [--film] [--motions bandai-namco-2:test]
 
 Draws the figures of a folder's complete rows again, without computing any, and puts them into
-``docs/images``. ``--film`` also makes the film, its sheet and the worst clips with the shipped
-agents; the film stays in SCORES.
+``docs/images``. Those that need means alone (accuracy, plausibility) are drawn from the kept report
+beside the shipped weights, which has the rows of every agent. ``--film`` also makes the film, its
+sheet and the worst clips with the shipped agents; the film stays in SCORES.
 """
 
 from __future__ import annotations
@@ -19,12 +20,15 @@ from tyro.conf import Positional
 
 from agents.comparison.compare import FIGURES, compare
 from agents.comparison.conditions import Start
-from agents.comparison.drawn import DRAWN, PREDICTOR
+from agents.comparison.drawn import DRAWN, PREDICTOR, first_starts
 from agents.comparison.film import SHEET
 from agents.comparison.options import CompareArgs
 from agents.comparison.worst import FILE as WORST
 from agents.kinematic.device_faults import Noise
+from agents.shipping.cards import SOURCE
+from docs.figures.comparison_table import rows_of
 from questsim.cli import guarded
+from questsim.files import whole_file
 
 IMAGES = Path(__file__).parents[1] / "images"
 FILMED = (
@@ -76,7 +80,11 @@ def draw(args: PicturesArgs) -> int:
             video_clips=FILMED if args.film else (),
         )
     )
-    made = [*FIGURES, *DRAWN, PREDICTOR, *((SHEET, WORST) if args.film else ())]
+    kept = rows_of(SOURCE)
+    for name, plot in FIGURES.items():
+        with whole_file(IMAGES / f"comparison-{name}") as path:
+            plot(first_starts(kept), path)
+    made = [*DRAWN, PREDICTOR, *((SHEET, WORST) if args.film else ())]
     for name in made:
         if (args.scores / name).is_file():
             picture = "sheet.png" if name == SHEET else name.replace("_", "-")
