@@ -25,6 +25,7 @@ from agents.kinematic.skeletal import POOLINGS, SIZES, neighbour_mask
 from agents.kinematic.sparseposer.networks import SparsePoserModule
 from agents.kinematic.sparseposer.poser import SparsePoser
 from agents.training.hold_out import without_styles
+from questsim import differentiable as diff
 from questsim import rotations as rot
 from questsim.errors import InputError
 from questsim.joint_sensors import readings
@@ -181,6 +182,15 @@ def test_turning_the_world_turns_the_poses(agent):
     a, b = system.predict(seen, BODY), system.predict(turned, BODY)
     moved = rot.quat_rotate(turn, a.forward_kinematics()[0]) + np.array([3.0, -2.0, 0.0])
     assert np.abs(moved - b.forward_kinematics()[0]).max() < 1e-3
+
+
+def test_avatarposer_begins_near_the_rest_pose_and_not_half_a_turn_off():
+    entry = AGENTS["avatarposer"]
+    module: Any = entry.build(entry.presets["cpu"].spec)
+    inputs = torch.randn(4, 40, 135)
+    turned = diff.six_d_to_matrix(module(inputs))
+    cosine = (turned.diagonal(dim1=-2, dim2=-1).sum(-1) - 1.0) / 2.0
+    assert float(cosine.min()) > 0.5
 
 
 def test_avatarposers_refinement_brings_the_hands_to_the_controllers_and_moves_arms_alone():

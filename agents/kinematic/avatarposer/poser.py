@@ -84,6 +84,12 @@ class AvatarPoserModule(nn.Module):
             nn.Sequential(nn.Linear(spec.size, 256), nn.ReLU(), nn.Linear(256, 6 * joints))
             for joints in (1, NUM_JOINTS - 1)
         )
+        # From random rotations, spine1 and spine3 may settle half a turn off: joints beyond them
+        # are then in place, and between half a turn and none every pose is worse.
+        for head in (self.root, self.pose):
+            last = head[-1]
+            assert isinstance(last, nn.Linear)
+            last.bias.data.copy_(torch.tensor([1.0, 0, 0, 0, 1, 0]).repeat(len(last.bias) // 6))
 
     def forward(self, inputs: Tensor) -> Tensor:
         """6D rotations ``(B, 22, 6)`` of the last frame of features ``(B, T, 135)``."""
