@@ -275,12 +275,13 @@ def test_an_avatar_that_fell_while_its_user_walks_is_set_up_in_the_pose_of_the_w
     falls = [pose for pose in poses if "the avatar fell: set up again" in pose.events]
     assert len(falls) >= 3
     left, right = FOOT_LINKS
+    steps = []
     for pose in falls[1:]:  # before the first there is less than a second to estimate from
         user = span.clip.link_position[round((pose.time_s - span.start_s) * FPS)]
-        step = pose.link_position[left, 0] - pose.link_position[right, 0]
-        # Not upright with one foot beside the other, but in the user's step.
-        assert abs(step) > 0.1
-        assert step == pytest.approx(user[left, 0] - user[right, 0], abs=0.3)
+        steps.append(pose.link_position[left, 0] - pose.link_position[right, 0])
+        assert steps[-1] == pytest.approx(user[left, 0] - user[right, 0], abs=0.15)
+    # Not upright with one foot beside the other, but in the user's step.
+    assert max(np.abs(steps)) > 0.3
 
 
 def test_an_avatar_without_physics_is_not_assisted():

@@ -31,7 +31,7 @@ def server(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("name", "card", "licence"),
-    [("demo", "policy.yaml", "mit"), ("hmdposer", "system.yaml", "cc-by-nc-4.0")],
+    [("demo", "policy.yaml", "mit"), ("lgsik", "system.yaml", "cc-by-nc-4.0")],
 )
 def test_a_published_agent_is_used_by_its_name(server, capsys, name, card, licence):
     assert main(["publish", name, f"hf:me/{name}"]) == 0

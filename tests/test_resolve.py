@@ -167,9 +167,10 @@ def test_an_own_kinematic_system_takes_the_place_of_a_shipped_one(own, library):
 
 def test_shipped_agents_are_compared_in_the_order_of_the_tables():
     names = shipped_agents()
-    assert names[:6] == ["ik", "hmdposer", "lgsik", "sparseposer", "dragposer", "lgsik-lengths"]
-    assert names[6:12] == [f"{name}{PHYSICS}" for name in names[:6]]
-    assert names[12:] == ["questsim", "questsim-headset", "questsim-now"]
+    published = ["avatarposer", "hmdposer", "lgsik", "sparseposer", "dragposer"]
+    assert names[:7] == ["ik", *published, "lgsik-lengths"]
+    assert names[7:14] == [f"{name}{PHYSICS}" for name in names[:7]]
+    assert names[14:] == ["questsim", "questsim-headset", "questsim-now"]
 
 
 def test_random_agents_of_a_name_are_new_each_time():
