@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import torch
 from torch import Tensor, nn
 
 from agents.kinematic.data import MotionBank
@@ -149,6 +150,12 @@ class Task:
     draw: Callable[[np.random.Generator], Any]
     loss: Callable[[Any], tuple[Tensor, dict[str, float]]]
     validate: Callable[[], dict[str, float]]
+
+
+def begin_at_rest(layer: nn.Module) -> None:
+    """Let a last layer of 6D rotations begin with the pose at rest: every joint unturned."""
+    assert isinstance(layer, nn.Linear)
+    layer.bias.data.copy_(torch.tensor([1.0, 0, 0, 0, 1, 0]).repeat(len(layer.bias) // 6))
 
 
 TaskMaker = Callable[[nn.Module, str, Learning, MotionBank, int], Task]

@@ -37,7 +37,7 @@ from agents.run_folder import (
 from agents.training.hold_out import without_styles
 from agents.training.loggers import check_logger
 from agents.training.monitor import Display
-from agents.training.ray_session import ray_cluster
+from agents.training.ray_session import check_workers, ray_cluster
 from agents.training.stage import Budget, Stopper
 from agents.training.watched import beside_ray
 from questsim.errors import INTERRUPTED, InputError, at_least, one_of_these
@@ -123,9 +123,8 @@ def _motions(args: TrainSystemArgs) -> tuple[Sequence[Motion], Sequence[Motion],
 
 def _cluster(args: TrainSystemArgs) -> AbstractContextManager[None]:
     """The Ray cluster of ``--workers``, if any."""
-    if args.workers == 0 and args.ray is not None:
-        raise InputError("needs --workers", "--ray", "add --workers N")
     if args.workers == 0:
+        check_workers(args.workers, args.ray)
         return nullcontext()
     at_least(2, workers=args.workers)
     return ray_cluster(args.ray, (args.workers - 1) * args.threads)

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from agents.kinematic.data import MotionBank, Windows
 from agents.kinematic.interface import DeviceSignals, KinematicSystem, Poses, UserBody
-from agents.kinematic.learning import Learning, Task
+from agents.kinematic.learning import Learning, Task, begin_at_rest
 from agents.kinematic.recurrent.assembly import assembled
 from agents.kinematic.recurrent.features import DEVICES as ALL_DEVICES
 from agents.kinematic.recurrent.features import features
@@ -87,9 +87,7 @@ class AvatarPoserModule(nn.Module):
         # From random rotations, spine1 and spine3 may settle half a turn off: joints beyond them
         # are then in place, and between half a turn and none every pose is worse.
         for head in (self.root, self.pose):
-            last = head[-1]
-            assert isinstance(last, nn.Linear)
-            last.bias.data.copy_(torch.tensor([1.0, 0, 0, 0, 1, 0]).repeat(len(last.bias) // 6))
+            begin_at_rest(head[-1])
 
     def forward(self, inputs: Tensor) -> Tensor:
         """6D rotations ``(B, 22, 6)`` of the last frame of features ``(B, T, 135)``."""

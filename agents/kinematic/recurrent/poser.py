@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from agents.kinematic.interface import DeviceSignals, KinematicSystem, Poses, UserBody
+from agents.kinematic.learning import begin_at_rest
 from agents.kinematic.recurrent.assembly import assembled
 from agents.kinematic.recurrent.features import DEVICES, features
 from agents.kinematic.recurrent.hmdposer import HmdPoserNet, HmdPoserSpec
@@ -47,8 +48,7 @@ class RecurrentModule(nn.Module):
         self.net = HmdPoserNet(spec) if isinstance(spec, HmdPoserSpec) else LgsikNet(spec)
         self.register_buffer("template", torch.zeros(NUM_JOINTS, 3))
         for layer in self.net.last_layers():
-            # Start training from a straight standing pose.
-            layer.bias.data.copy_(torch.tensor([1.0, 0, 0, 0, 1, 0]).repeat(len(layer.bias) // 6))
+            begin_at_rest(layer)
             layer.weight.data.mul_(0.1)
 
     def body_inputs(self, offsets: np.ndarray) -> Tensor:
