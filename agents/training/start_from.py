@@ -23,14 +23,15 @@ def copy_actor(source: TorquePolicy, target: TorquePolicy, where: Path | str) ->
     """Copy the actor, its normaliser, the noise and the head of ``source``, but no critic.
 
     Terms that only the target's head has keep their start values; so do gains that have another
-    meaning there, see ``copy_head``. The actor's outputs for such terms begin at zero.
+    meaning there, see ``copy_head``. The actor's outputs for such terms begin at zero. Layers may
+    be wider in the target: its actor has the same outputs at first, see ``_grow``.
 
     Args:
         source, target: policies.
         where: origin of the source, for messages.
 
     Raises:
-        InputError: their networks differ.
+        InputError: their networks differ in more than outputs and wider layers.
     """
     state = {
         name: value
@@ -38,6 +39,7 @@ def copy_actor(source: TorquePolicy, target: TorquePolicy, where: Path | str) ->
         if not name.startswith((CRITIC, _HEAD))
     }
     _widen(state, source, target)
+    _grow(state, target)
     try:
         missing, unexpected = target.load_state_dict(state, strict=False)
         fits = not unexpected and all(name.startswith((CRITIC, _HEAD)) for name in missing)
@@ -88,6 +90,31 @@ def _widen(state: dict[str, Tensor], source: TorquePolicy, target: TorquePolicy)
     for name in (last + "weight", last + "bias"):
         rows = state[name].new_zeros(more, *state[name].shape[1:])
         state[name] = torch.cat([state[name], rows])
+
+
+def _grow(state: dict[str, Tensor], target: TorquePolicy) -> None:
+    """Fill up layers that are wider in ``target`` so that its actor's outputs stay the same.
+
+    New units keep the random weights that ``target`` gave their inputs; the units that were there
+    before, and the outputs, do not use them yet: these weights are zero (as for the new layers of
+    Net2Net, Chen et al. 2016, the function is kept; its copies of units are not needed, since the
+    random inputs already make new units differ).
+    """
+    begin = target.state_dict()
+    names = [name for name in state if name.startswith("actor.layers.")]
+    if any(name not in begin or begin[name].dim() != state[name].dim() for name in names):
+        return
+    for name in names:
+        old, new = state[name], begin[name].clone()
+        outputs = len(old)
+        if outputs > len(new) or old.shape[-1] > new.shape[-1] or old.shape == new.shape:
+            continue
+        if old.dim() == 1:
+            new[:outputs] = old
+        else:
+            inputs = old.shape[1]
+            new[:outputs, :inputs], new[:outputs, inputs:] = old, 0.0
+        state[name] = new
 
 
 def take_critic(
