@@ -467,6 +467,30 @@ def test_fewer_clips_are_for_all_rows_but_streams_of_exact_signals(tmp_path):
     assert "| ik | 6 | 2 |" in (out / "comparison.md").read_text()
 
 
+def test_rows_of_fewer_clips_can_be_chosen(tmp_path):
+    motions = tmp_path / "motions.npz"
+    save_library(motions, [MOTION, replace(MOTION, name="other")], [])
+    args = CompareArgs(
+        agents=("ik", "ik+physics"), motions=str(motions), out=tmp_path / "scores", threads=1,
+        fewer_clips=1, fewer_rows=("noise",), noise=("white",), starts=("user",),
+    )  # fmt: skip
+    assert compare(args) == 0
+    found = json.loads((args.out / "comparison.json").read_text())
+    assert {(row["agent"], row["scenario"]): row["clips"] for row in found["rows"][1:]} == {
+        ("ik", "6"): 2, ("ik", "6, noise: white"): 1,
+        ("ik+physics", "6, no physics"): 2, ("ik+physics", "6, from the user's state"): 2,
+        ("ik+physics", "6, noise: white, no physics"): 1,
+        ("ik+physics", "6, noise: white, from the user's state"): 1,
+    }  # fmt: skip
+    assert found["context"]["fewer_rows"] == ["noise"]
+
+
+def test_rows_of_fewer_clips_need_their_number(tmp_path):
+    with pytest.raises(InputError, match="--fewer-rows"):
+        compare(CompareArgs(agents=("ik",), out=tmp_path / "scores", fewer_rows=("noise",)))
+    assert not (tmp_path / "scores").exists()
+
+
 def test_rows_are_named_by_their_condition_and_read_again():
     for start in get_args(Start):
         assert condition_of(row_name("6", None, start)) == ("6", start)

@@ -94,8 +94,13 @@ def compare(args: CompareArgs) -> int:
         "seed": args.seed,
         "fewer_clips": args.fewer_clips,
     }
+    if args.fewer_rows != CompareArgs(out=out).fewer_rows:
+        context["fewer_rows"] = sorted(args.fewer_rows)
     plans = all_plans(planned, args)
-    work = [Work(plan, recordings if plan.plain else fewer) for plan in plans]
+    work = [
+        Work(plan, fewer if plan.slow.intersection(args.fewer_rows) else recordings)
+        for plan in plans
+    ]
     common = {name: context[name] for name in context if name not in ("agents", "tracker")}
     digests = {name: digest(each.agent) for name, each in planned.items()}
     with Record(out, common, {RECORDING: RECORDING} | digests) as record:
@@ -169,7 +174,10 @@ def _refuse_unused(args: CompareArgs, planned: Mapping[str, Planned]) -> None:
     if args.windows and not any(s.online for each in planned.values() for s in each.scenarios):
         what = "does nothing: no agent has the protocol with windows"
         raise InputError(what, "--windows", "leave it out")
-    for option, values in (("starts", args.starts), ("noise", args.noise)):
+    if args.fewer_clips is None and args.fewer_rows != CompareArgs(out=args.out).fewer_rows:
+        raise InputError("does nothing", "--fewer-rows", "add --fewer-clips N")
+    several = {"starts": args.starts, "noise": args.noise, "fewer-rows": args.fewer_rows}
+    for option, values in several.items():
         if len(set(values)) < len(values):
             raise InputError("has a value twice", f"--{option}", "give each once")
 

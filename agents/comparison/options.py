@@ -14,6 +14,9 @@ from agents.resolve import ANY_AGENT
 Start = Literal["estimate", "user", "standing"]
 """States in which avatars with physics begin."""
 
+Slow = Literal["avatars", "noise", "options"]
+"""Rows that take more time than kinematic systems that stream exact signals."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class CompareArgs:
@@ -44,8 +47,11 @@ class CompareArgs:
     max_clips: int | None = None
     """Reconstruct only this many motions, of all kinds."""
     fewer_clips: int | None = None
-    """Use only this many of the clips, of all kinds, in all rows but those of kinematic systems
-    that stream exact signals, which take the least time."""
+    """Use only this many of the clips, of all kinds, in the rows of --fewer-rows."""
+    fewer_rows: tuple[Slow, ...] = ("avatars", "noise", "options")
+    """With --fewer-clips: avatars with physics, noisy devices, options of a system (also windows of
+    40 frames and faulty trackers). All other rows are kinematic systems that stream exact signals,
+    which take the least time."""
     windows: bool = False
     """Also estimate each frame from its last 40 frames alone (LGSIK-Poser's online protocol)."""
     finished: bool = False

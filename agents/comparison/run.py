@@ -9,6 +9,7 @@ import numpy as np
 
 from agents.comparison.behind import Shown, follow_shown, shown_of
 from agents.comparison.conditions import Start, row_name, starts_of, with_noise
+from agents.comparison.options import Slow
 from agents.comparison.record import Record
 from agents.comparison.report import RECORDING
 from agents.comparison.summary import Summary, sums_of
@@ -77,9 +78,14 @@ class Plan:
         return self.agent.base if self.agent is not None and not self.agent.torques else None
 
     @property
-    def plain(self) -> bool:
-        """Whether it is a kinematic system as it streams, with exact signals."""
-        return not self.starts and self.noise is None and self.scenario.plain
+    def slow(self) -> set[Slow]:
+        """Why it takes more time than a kinematic system that streams exact signals."""
+        reasons: dict[Slow, bool] = {
+            "avatars": bool(self.starts),
+            "noise": self.noise is not None,
+            "options": not self.scenario.plain,
+        }
+        return {reason for reason, holds in reasons.items() if holds}
 
     @property
     def rows(self) -> list[str]:

@@ -18,7 +18,7 @@ from questsim.files import whole_file
 CARD = "README.md"
 SOURCE = SHIPPED / "comparison.json"
 """The kept report."""
-ALIKE = ("data", "seed", "fewer_clips", "tracker")
+ALIKE = ("data", "seed", "fewer_clips", "fewer_rows", "tracker")
 """What two reports must have in common for rows of both to stand in one table."""
 _BEGINS, _ENDS = "## Figures\n", "## Intended use\n"
 
