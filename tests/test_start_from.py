@@ -35,10 +35,10 @@ def test_new_units_learn_from_the_first_step_and_each_differently():
     obs = observations(old)
     torch.testing.assert_close(new.actor(obs)[:, :36], old.actor(obs))
     new.actor(obs).square().sum().backward()
-    last = new.actor.layers[-1].weight.grad
-    assert bool((last[:, 6:].abs().sum(0) > 0).all())
-    first = new.actor.layers[0].weight
-    assert len(torch.unique(first[8:], dim=0)) == 8
+    parameters = dict(new.named_parameters())
+    gradient = parameters["actor.layers.4.weight"].grad
+    assert gradient is not None and bool((gradient[:, 6:].abs().sum(0) > 0).all())
+    assert len(torch.unique(parameters["actor.layers.0.weight"][8:], dim=0)) == 8
 
 
 @pytest.mark.parametrize("hidden", [(6, 6), (8, 4), (8,), (8, 6, 6)])
