@@ -17,7 +17,7 @@ import matplotlib.pyplot as plt
 
 HERE = Path(__file__).parent
 TABLE, IMAGE = HERE / "system_curves.csv", HERE.parent / "images" / "training-systems.png"
-COLUMNS = ("curve", "steps", "error_cm")
+COLUMNS: tuple[str, ...] = ("curve", "steps", "error_cm")
 
 
 def read(table: Path = TABLE) -> dict[str, list[dict[str, str]]]:
