@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -117,6 +119,25 @@ def test_a_bar_is_reached_from_its_good_side_only():
     assert error.reached(3.9, error.bar)
     assert not error.reached(3.9, error.goal)
     assert not error.reached(None, error.bar)  # nothing was completed
+
+
+def test_motions_of_ones_own_have_another_bar_for_a_tracker():
+    extra = next(bar for bar in BARS if bar.trial == "extra")
+    assert (extra.of(False).bar, extra.of(False).goal) == (55.0, 80.0)
+    assert (extra.of(True).bar, extra.of(True).goal) == (70.0, 90.0)
+    other = next(bar for bar in BARS if bar.trial == "standing")
+    assert other.of(True) == other
+
+
+def test_the_page_of_the_metrics_explains_every_row_with_its_bars():
+    page = (Path(__file__).parents[1] / "docs" / "metrics.md").read_text()
+    table = page.partition("## The scorecard")[2].partition("## Intervals")[0]
+    lines = [line for line in table.splitlines() if line.startswith("| `")]
+    told = {name: line for line in lines for name in re.findall(r"`([\w-]+)`", line.split("|")[1])}
+    assert list(told) == list(TRIALS)
+    for bar in BARS:
+        for which in (bar.of(False), bar.of(True)):
+            assert f"{which.bar:g} / {which.goal:g}" in told[bar.trial], bar
 
 
 def test_a_missing_variant_is_named_before_anything_runs(library, tmp_path, monkeypatch):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import swaying_clip
@@ -43,6 +45,16 @@ def test_disturbed_starts_are_off_by_no_more_than_asked_and_never_in_the_ground(
     assert 0.05 < np.max(lean) < 0.2
     assert sim.foot_clearance.min() > -1e-6
     assert not np.allclose(sim.qpos[:, :3], still.qpos[:, :3])
+
+
+def test_disturbed_starts_may_be_in_mid_air():
+    starts = Starts(
+        disturbed=1.0, lean_m=0.0, speed_m_s=0.0, place_m=0.0, joints_rad=0.0, lift_m=0.1
+    )
+    on_the_ground = sim_with(replace(starts, lift_m=0.0))
+    lifted = sim_with(starts).qpos - on_the_ground.qpos
+    assert 0.08 < lifted[:, 2].max() <= 0.1 and lifted[:, 2].min() >= 0.0
+    np.testing.assert_allclose(np.delete(lifted, 2, axis=1), 0.0, atol=1e-9)
 
 
 def test_shares_of_episodes_begin_as_asked():

@@ -103,6 +103,7 @@ def scorecard(
         InputError: one of the policies, rows or motions is missing.
     """
     jobs = _jobs(agent, motions, max_clips, seed, _chosen(agent, rows, extra, first_answers), extra)
+    tracker = all(job.agent.needs.privileged for job in jobs)
     if not rows:
         jobs += _learnt(agent, motions, jobs)
     left, spent, done = sum(job.frames for job in jobs), 0.0, 0
@@ -116,7 +117,7 @@ def scorecard(
         figures[job.name] = kept
         rest = f"about {left * spent / done:.0f} s left" if done else "kept from before"
         say(f"{job.name}: {100.0 * kept['all']['success']:.1f} % of {len(job.clips)} clips; {rest}")
-    card = {"agent": agent, "motions": motions, "rows": _rows(figures), "trials": figures}
+    card = {"agent": agent, "motions": motions, "rows": _rows(figures, tracker), "trials": figures}
     if out is not None:
         with whole_file(out / SCORECARD_FILE) as path:
             path.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
@@ -281,11 +282,13 @@ def _report(rollouts: list[Any], context: dict[str, Any], out: Path | None) -> d
     return {key: metrics[key] for key in kept}
 
 
-def _rows(figures: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _rows(figures: Mapping[str, Any], tracker: bool) -> list[dict[str, Any]]:
+    """The figures that have a bar; ``tracker``: the policy observes the whole body."""
     rows = []
     for bar in BARS:
         if bar.trial not in figures:
             continue
+        bar = bar.of(tracker)
         if bar.below is not None:
             if bar.below not in figures:
                 continue

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from agents.evaluation.standing_pushes import BARS as PUSH_BARS
@@ -55,6 +55,7 @@ class Bar:
         metric: key of the report; ``success`` is over all clips, the others over completed clips.
         bar, goal: in the metric's unit; success in percent.
         below: trial to which bar and goal are relative: points by which success may be lower.
+        tracker: bar and goal of a policy that observes the whole body, if they differ.
     """
 
     trial: str
@@ -62,6 +63,13 @@ class Bar:
     bar: float
     goal: float
     below: str | None = None
+    tracker: tuple[float, float] | None = None
+
+    def of(self, tracker: bool) -> Bar:
+        """The bar of a policy that observes the whole body (``tracker``), or devices."""
+        if not tracker or self.tracker is None:
+            return replace(self, tracker=None)
+        return replace(self, bar=self.tracker[0], goal=self.tracker[1], tracker=None)
 
     def reached(self, value: float | None, limit: float) -> bool:
         """Whether a figure satisfies a limit."""
@@ -128,7 +136,7 @@ BARS: tuple[Bar, ...] = (
     Bar("tall", "success", 90.0, 97.0),
     Bar("fresh", "success", 90.0, 98.0),
     Bar("held-out", "success", 75.0, 90.0),
-    Bar(EXTRA, "success", 55.0, 80.0),
+    Bar(EXTRA, "success", 55.0, 80.0, tracker=(70.0, 90.0)),
     Bar("standing", "success", 93.0, 97.0),
     Bar("estimate", "success", 95.0, 98.0),
     Bar("noise", "success", 3.0, 1.0, below="h2c"),

@@ -227,7 +227,7 @@ def make(base: Clip, donor: Clip, rng: np.random.Generator) -> Clip | str:
         return "runs backwards"
     if (hinge := feasible.fast_joint(clip)) is not None:
         return f"fast {hinge.split('_')[-2]}"
-    return "in the floor" if feasible.in_the_floor(clip) else None or clip
+    return "in the floor" if feasible.in_the_floor(clip) else clip
 
 
 def _part(clip: Clip, rng: np.random.Generator) -> tuple[int, int]:
