@@ -114,11 +114,15 @@ def test_a_student_of_estimates_learns_from_a_teacher_of_the_true_motion(
 
     monkeypatch.setattr(run_stage, "make_learner", watched)
     out = tmp_path / "student"
-    args = tiny(out, stage="student", teacher=tmp_path / "teacher", estimates=str(library))
+    sizes = ("stages.student.policy.hidden=[40,30]",)
+    args = tiny(
+        out, stage="student", teacher=tmp_path / "teacher", estimates=str(library), set=sizes
+    )
     assert train(args) == 0
     assert labelled and all(np.shares_memory(seen.numpy(), truth) for seen, truth in labelled)
     agent = load_agent(str(out))
     assert isinstance(agent, Tracker) and agent.needs.privileged
+    assert agent.policy.spec.hidden == (40, 30)
     record = yaml.safe_load((out / "run.yaml").read_text())
     assert record["args"]["estimates"] == str(library) and record["data"]["clips"] == 4
     assert train(replace(args, steps=256, resume=True)) == 0

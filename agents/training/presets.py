@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from agents.policy.spec import SPARSE_BLOCKS, TRACKER_BLOCKS, PolicySpec
 from agents.training.dagger import DaggerConfig
@@ -257,14 +258,26 @@ SMOKE = Preset(
 """A two-minute test that training works; the policy learns little."""
 
 
-def shown_estimates(name: str, stage: StageConfig) -> StageConfig:
-    """The stage ``name`` for a tracker that observes estimates instead of the true motion.
-
-    It has the networks and the reward of a teacher; the reward scores the true motion.
-    """
-    if name == "finetune":
-        return replace(stage, policy=TEACHER, reward=TRACKING_REWARD)
-    return replace(stage, policy=SHOWN_ESTIMATES)
-
-
 PRESETS: dict[str, Preset] = {"cpu": CPU, "paper": PAPER, "smoke": SMOKE}
+
+
+def preset_of(name: str, estimates: bool = False) -> Preset:
+    """A preset's settings, which ``--set`` may change.
+
+    Args:
+        name: of ``PRESETS``.
+        estimates: whether the policy observes estimates instead of the true motion. Then student
+            and finetune train a tracker with a teacher's networks; the reward, also a teacher's,
+            scores the true motion.
+    """
+    preset = PRESETS[name]
+    if not estimates:
+        return preset
+    changes: dict[str, dict[str, Any]] = {
+        "student": {"policy": SHOWN_ESTIMATES},
+        "finetune": {"policy": TEACHER, "reward": TRACKING_REWARD},
+    }
+    stages = {
+        stage: replace(config, **changes.get(stage, {})) for stage, config in preset.stages.items()
+    }
+    return replace(preset, stages=stages)

@@ -22,7 +22,7 @@ from agents.training.make_learner import make_environments, make_learner
 from agents.training.monitor import Display
 from agents.training.options import TrainArgs
 from agents.training.ppo import AdaptivePPO
-from agents.training.presets import PPOConfig, Preset, StageConfig, shown_estimates
+from agents.training.presets import PPOConfig, Preset, StageConfig
 from agents.training.ray_session import ray_map
 from agents.training.rollout_worker import BatchSpec
 from agents.training.shared_update import LearningPool, announce
@@ -65,8 +65,6 @@ class Training:
     def config(self, name: str) -> StageConfig:
         """A stage's configuration."""
         config = self.preset.stages[name]
-        if self.shown is not None:
-            config = shown_estimates(name, config)
         if self.args.body is not None:  # the balance term is of our own legs
             config = replace(config, policy=replace(config.policy, balance="none"))
         return config

@@ -23,7 +23,7 @@ from agents.training.fresh_motions import check_share
 from agents.training.loggers import check_logger
 from agents.training.monitor import Display
 from agents.training.options import TrainArgs
-from agents.training.presets import PRESETS, PPOConfig, Preset
+from agents.training.presets import PRESETS, PPOConfig, Preset, preset_of
 from agents.training.ray_session import ray_cluster
 from agents.training.run_stage import Training, run_stage
 from agents.training.specialists import read_specialist
@@ -79,7 +79,7 @@ def train_here(args: TrainArgs) -> int:
     check_logger(args.log)
     at_least(1, threads=args.threads, envs=args.envs, steps=args.steps, redraw=args.redraw)
     at_least(0, minutes=args.minutes, seed=args.seed)
-    preset = with_overrides(PRESETS[args.preset], args.set)
+    preset = with_overrides(preset_of(args.preset, args.estimates is not None), args.set)
     names = _stage_names(args, preset)
     if args.resume:
         read_run(args.out)
