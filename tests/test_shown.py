@@ -19,6 +19,7 @@ from agents.training.dagger import Dagger
 from agents.training.options import TrainArgs
 from agents.training.ppo import AdaptivePPO
 from agents.training.train_policy import train
+from agents.training.training_clips import estimate_pairs
 from envs import BatchSim, EnvConfig, QuestVecEnv, Terrain
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
@@ -128,6 +129,18 @@ def test_a_student_of_estimates_learns_from_a_teacher_of_the_true_motion(
     assert train(replace(args, steps=256, resume=True)) == 0
     again = commands(stages_behind(out / "student" / "last"))
     assert any("--estimates" in line and "--stage student" in line for line in again)
+
+
+def test_estimates_of_one_system_with_other_devices_are_all_observed(library, tmp_path) -> None:
+    more = tmp_path / "more.npz"
+    save_library(more, [to_motion(clip) for clip in SHOWN], SHOWN)
+    args = tiny(tmp_path / "run", stage="student", estimates=f"{library},{more}")
+    pairs = estimate_pairs(args, CLIPS)
+    assert pairs is not None
+    users, twice = {clip.name for clip in CLIPS}, {clip.name for clip in SHOWN}
+    assert set(pairs) == users | twice | {f"{name} 2" for name in twice}
+    for name, (truth, _) in pairs.items():
+        assert truth.name == name or name in users
 
 
 def test_a_tracker_of_estimates_is_fine_tuned_by_the_true_motion(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterator, Sequence
 
 import numpy as np
 
@@ -18,14 +18,29 @@ _SPARE_FRAMES = 2
 """Recordings of other frame rates may end this many frames later."""
 
 
+def load_estimates(libraries: str, seed: int) -> Iterator[Clip]:
+    """The clips of several libraries of estimates, by their own names.
+
+    Clips of two libraries may have one name: estimates of one system with other devices.
+
+    Args:
+        libraries: as in ``load_motions``, joined by commas.
+        seed: of synthetic motions.
+    """
+    from questsim.motion.spec import load_motions, parts_of
+
+    for library in parts_of(libraries):
+        yield from load_motions(library, seed=seed)
+
+
 def start_estimates(args: TrainArgs, clips: Sequence[Clip]) -> dict[str, Clip] | None:
     """The estimates of ``--start-estimates`` by the names of their clips; None without any.
+
+    Of several estimates of one clip, the last is used.
 
     Raises:
         InputError: only one of the two options is given, or an estimate is of other motions.
     """
-    from questsim.motion.spec import load_motions
-
     if args.starts.estimate > 0.0 and args.start_estimates is None:
         raise InputError("needs estimates", "--starts.estimate", "add --start-estimates LIBRARY")
     if args.start_estimates is None:
@@ -35,7 +50,7 @@ def start_estimates(args: TrainArgs, clips: Sequence[Clip]) -> dict[str, Clip] |
         raise InputError("is not used without a share", "--start-estimates", fix)
     known = {clip.name: clip for clip in clips}
     found = {}
-    for estimate in load_motions(args.start_estimates, seed=args.seed):
+    for estimate in load_estimates(args.start_estimates, args.seed):
         user = estimated_clip_name(estimate, known, args.start_estimates)
         found[user] = _checked(estimate, known[user], args.start_estimates)
     return found

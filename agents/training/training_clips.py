@@ -8,7 +8,7 @@ from dataclasses import replace
 from agents.evaluation.follow import choose_clips
 from agents.training.hold_out import without_styles
 from agents.training.options import TrainArgs
-from agents.training.start_estimates import estimated_clip_name
+from agents.training.start_estimates import estimated_clip_name, load_estimates
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
 
@@ -42,7 +42,6 @@ def estimate_pairs(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
     """
     from questsim.motion.retarget import to_clip
     from questsim.motion.retarget_back import to_motion
-    from questsim.motion.spec import load_motions
 
     if args.estimates is None:
         return None
@@ -61,7 +60,7 @@ def estimate_pairs(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
             raise InputError(f"does not go with {option}", "--estimates", f"leave out {option}")
     known = {clip.name: clip for clip in clips}
     pairs: Pairs = {}
-    for estimate in load_motions(args.estimates, seed=args.seed):
+    for estimate in load_estimates(args.estimates, args.seed):
         user = estimated_clip_name(estimate, known, args.estimates)
         if known[user].height_m != estimate.height_m:
             # Estimates are made from recordings, whose stature is measured on their bones.

@@ -123,7 +123,7 @@ def _all_parts(
     """What ``of`` loads for each part of a motion argument, also for the parts of mixtures."""
 
     def several(spec: str | Sequence[str], seed: int) -> list[_T]:
-        return _with_unique_names([(part, one(part, seed)) for part in _parts(spec)])
+        return _with_unique_names([(part, one(part, seed)) for part in parts_of(spec)])
 
     def one(part: str, seed: int) -> Sequence[_T]:
         if is_mixture(part):
@@ -139,7 +139,12 @@ def _load(part: str, clips: bool, strict: bool) -> Library:
     return load_part(part, clips, strict)
 
 
-def _parts(spec: str | Sequence[str]) -> list[str]:
+def parts_of(spec: str | Sequence[str]) -> list[str]:
+    """The parts of a motion argument, each an argument of its own.
+
+    Raises:
+        InputError: there is none.
+    """
     parts = split_parts(spec)
     if not parts:
         from questsim.motion.loaded import choices
