@@ -143,6 +143,24 @@ def test_estimates_of_one_system_with_other_devices_are_all_observed(library, tm
         assert truth.name == name or name in users
 
 
+def test_pairs_end_with_the_shorter_of_motion_and_estimate(tmp_path) -> None:
+    def pairs_of(frames: int):
+        seen = SHOWN[0].first(frames)
+        path = tmp_path / f"{frames}.npz"
+        save_library(path, [to_motion(seen)], [seen])
+        args = tiny(tmp_path / "run", stage="student", estimates=str(path))
+        pairs = estimate_pairs(args, CLIPS)
+        assert pairs is not None
+        return pairs[seen.name]
+
+    whole = len(SHOWN[0])
+    truth, seen = pairs_of(whole - 1)
+    assert len(truth) == len(seen) == whole - 1
+    np.testing.assert_array_equal(truth.contacts, CLIPS[0].contacts[: whole - 1])
+    with pytest.raises(InputError, match=f"{whole - 5} frames for {whole}"):
+        pairs_of(whole - 5)
+
+
 def test_a_tracker_of_estimates_is_fine_tuned_by_the_true_motion(
     library, tmp_path, monkeypatch
 ) -> None:

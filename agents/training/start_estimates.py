@@ -10,12 +10,11 @@ from agents.training.options import TrainArgs
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
-from questsim.motion.kinematics import clip_from_qpos
 
 FAR_M = 0.5
 """An estimate whose links are further than this from the motion's, on average, is of another."""
-_SPARE_FRAMES = 2
-"""Recordings of other frame rates may end this many frames later."""
+SPARE_FRAMES = 2
+"""Recordings of other frame rates may end this many frames earlier or later."""
 
 
 def load_estimates(libraries: str, seed: int) -> Iterator[Clip]:
@@ -77,13 +76,11 @@ def _checked(estimate: Clip, clip: Clip, where: str) -> Clip:
     frames = min(len(estimate), len(clip))
     common, truth = (c.scaled(DEFAULT_HEIGHT_M).link_position[:frames] for c in (estimate, clip))
     apart = float(np.linalg.norm(common - truth, axis=-1).mean())
-    if len(estimate) - len(clip) > _SPARE_FRAMES or apart > FAR_M:
+    if len(estimate) - len(clip) > SPARE_FRAMES or apart > FAR_M:
         raise InputError(
             f"{estimate.name!r} is not an estimate of this motion: {len(estimate)} frames for "
             f"{len(clip)}, {apart:.2f} m apart",
             where,
             "make it again by questsim estimate",
         )
-    if len(estimate) == frames:
-        return estimate
-    return clip_from_qpos(estimate.name, estimate.qpos[:frames], estimate.height_m)
+    return estimate.first(frames)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from agents.evaluation.follow import choose_clips
 from agents.training.hold_out import without_styles
 from agents.training.options import TrainArgs
-from agents.training.start_estimates import estimated_clip_name, load_estimates
+from agents.training.start_estimates import SPARE_FRAMES, estimated_clip_name, load_estimates
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
 
@@ -68,9 +68,26 @@ def estimate_pairs(args: TrainArgs, clips: Sequence[Clip]) -> Pairs | None:
         name, again = estimate.name, 2
         while name in pairs:  # the same system with other devices
             name, again = f"{estimate.name} {again}", again + 1
-        pairs[name] = replace(known[user], name=name), estimate
+        pairs[name] = _paired(replace(known[user], name=name), estimate, args.estimates)
         pairs[user] = known[user], known[user]  # train on accurate estimates too
     return pairs
+
+
+def _paired(truth: Clip, estimate: Clip, where: str) -> tuple[Clip, Clip]:
+    """Both, up to the last frame of the shorter one.
+
+    Raises:
+        InputError: their lengths differ by more than another frame rate can explain.
+    """
+    frames = min(len(truth), len(estimate))
+    if max(len(truth), len(estimate)) > frames + SPARE_FRAMES:
+        raise InputError(
+            f"{estimate.name!r} is not an estimate of this motion: {len(estimate)} frames for "
+            f"{len(truth)}",
+            where,
+            "make it again by questsim estimate",
+        )
+    return truth.first(frames), estimate.first(frames)
 
 
 def split_validation(

@@ -58,6 +58,21 @@ class Clip:
         """Seconds from the first to the last frame."""
         return (len(self) - 1) / FPS
 
+    def first(self, frames: int) -> Clip:
+        """The first frames of the clip; itself if it has no more."""
+        if frames >= len(self):
+            return self
+        return replace(
+            self,
+            qpos=self.qpos[:frames],
+            qvel=self.qvel[:frames],
+            link_position=self.link_position[:frames],
+            link_quat=self.link_quat[:frames],
+            link_velocity=self.link_velocity[:frames],
+            link_angular_velocity=self.link_angular_velocity[:frames],
+            contacts=self.contacts[:frames],
+        )
+
     def scaled(self, height_m: float) -> Clip:
         """The same joint angles on a body of another height; paths scale with the body."""
         ratio = height_m / self.height_m
