@@ -25,7 +25,6 @@ from agents.kinematic.dragposer.networks import (
 from agents.kinematic.dragposer.training import _limb_noise
 from agents.kinematic.interface import UserBody
 from agents.kinematic.options import TrainSystemArgs
-from agents.kinematic.recurrent.faults import EXACT, drawn
 from agents.kinematic.recurrent.features import ATOMS
 from agents.kinematic.recurrent.hmdposer import HmdPoserNet, HmdPoserSpec
 from agents.kinematic.recurrent.lgsik import PARTS, LgsikNet, LgsikSpec
@@ -36,6 +35,7 @@ from agents.kinematic.sparseposer.training import _regularisation
 from agents.kinematic.store import find_system, load_module, read_system_card, save_system
 from agents.kinematic.switches import switches
 from agents.kinematic.training import train_system
+from agents.kinematic.training_faults import EXACT, drawn
 from agents.overrides import with_overrides
 from questsim.cli import main
 from questsim.errors import InputError
@@ -267,6 +267,30 @@ def test_errors_of_the_devices_have_the_sizes_of_the_preset():
         for words in ((), ("stages.network.noise.position_m=0.5",))
     )
     assert exact != noisy
+
+
+@pytest.mark.parametrize(
+    ("agent", "stage"),
+    [("avatarposer", "network"), ("sparseposer", "generator"), ("sparseposer", "ik")],
+)
+def test_errors_of_the_devices_change_what_is_read_and_not_what_is_learnt(agent, stage):
+    word = f"stages.{stage}.noise.position_m=0.5"
+    pairs = [task_of(agent, *words, stage=stage) for words in ((), (word,))]
+    for module, _ in pairs:
+        module.eval()
+    exact, noisy = (task for _, task in pairs)
+    (true, none), (measured, faults) = (
+        task.draw(np.random.default_rng(0)) for task in (exact, noisy)
+    )
+    assert none is None and faults is not None
+    assert torch.equal(true.position, measured.position)
+    errors = [
+        task.loss(batch)[1]["error_cm"] for task in (exact, noisy) for batch in [(true, None)]
+    ]
+    assert errors[0] == errors[1] != noisy.loss((measured, faults))[1]["error_cm"]
+    # Checkpoints are compared on signals with these errors, too.
+    assert exact.validate()["error_cm"] != noisy.validate()["error_cm"]
+    assert noisy.validate() == noisy.validate()
 
 
 # -- SparsePoser ---------------------------------------------------------------------------------

@@ -383,6 +383,31 @@ def test_dragposer_as_published_moves_the_latent_alone_and_its_root_to_the_hips_
         entry.system(improved, "drag", [], {"published": True, "solver": "newton"})
 
 
+def test_dragposer_as_published_predicts_once_in_the_frames_of_its_window():
+    entry = AGENTS["dragposer"]
+    module: Any = entry.build(replace(entry.presets["smoke"].spec, published=True))
+    module.token_std.fill_(1.0)
+    tokens = {}
+    for frames in (None, 60):
+        given = {"predictor": True, "predicted_frames": frames, "iterations": 1}
+        system: Any = entry.system(module, "drag", [], given)
+        counts = []
+        ahead = system.module.predictor.forward
+        system.module.predictor.forward = lambda past, count, c=counts, f=ahead: (
+            c.append(count) or f(past, count)
+        )
+        system.predict(stream("4T", 20), BODY)
+        tokens[frames] = counts
+    # The first of 20 frames has no past; a token is four frames.
+    assert tokens == {None: [4, 4], 60: [15]}
+    for frames in (0, 65):
+        with pytest.raises(InputError, match=f"predicted_frames is {frames}, not from 1 to 64"):
+            entry.system(module, "drag", [], {"predicted_frames": frames})
+    with pytest.raises(InputError, match="no option 'predicted_frames'"):
+        improved = entry.build(entry.presets["smoke"].spec)
+        entry.system(improved, "drag", [], {"predicted_frames": 60})
+
+
 def test_styles_held_out_are_only_in_the_windows_that_compare_checkpoints():
     learnt, other = replace(MOTION, style="normal"), replace(MOTION.mirrored(), style="old")
     kept, held = without_styles([learnt, other], "old")

@@ -41,7 +41,7 @@ class Learning:
         kind_power: how often kinds of motion are drawn; see ``data.MotionBank``.
         weights: weights of loss terms by name: HMD-Poser's terms, ``continuity`` in DragPoser's
             ``vae``, ``keep`` in SparsePoser's ``ik``; by default the published ones.
-        noise: errors of the devices, of HMD-Poser and LGSIK-Poser (``recurrent.faults``).
+        noise: errors of the devices (``training_faults``); DragPoser learns from poses alone.
     """
 
     share: float = 1.0

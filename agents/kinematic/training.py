@@ -197,6 +197,8 @@ def _fit(
     record = {"preset": args.preset, "seed": args.seed, "threads": args.threads, **data}
     if args.start is not None:
         record["start"] = str(args.start)
+    if any(learning.noise.values()):
+        record["noise"] = learning.noise
     fit = Fit(
         name=name,
         module=module,

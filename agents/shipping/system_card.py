@@ -15,6 +15,7 @@ from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.options import TrainSystemArgs
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import CARD_FILE, find_system, load_system, read_system_card
+from agents.kinematic.training_faults import EXACT
 from agents.licence import strictest
 from agents.resolve import base_of
 from agents.run_folder import read_run
@@ -37,7 +38,7 @@ identity or health."""
 LIMITS = """\
 - It was trained on the motions above. It guesses what no device measures.
 - It has no physics: feet may slide, float or sink.
-- The device signals in training were synthetic, without noise, latency or loss of tracking.
+- The device signals in training were synthetic, {signals}.
 - It works only at 60 Hz and with this order of joints; anything else is refused.
 - Bodies differ only in the lengths of their bones; sex, age and weight are not modelled."""
 
@@ -135,7 +136,20 @@ def system_card(
         f"physics. It reads {system.describe().replace('_', ' ')}."
     )
     facts = _facts(system, training, weights_bytes)
-    return card_text(name, purpose, facts, training, figures, USE, LIMITS)
+    limits = LIMITS.format(signals=_signals(training.get("noise")))
+    return card_text(name, purpose, facts, training, figures, USE, limits)
+
+
+def _signals(noise: Mapping[str, float] | None) -> str:
+    """Errors of the devices in training (``agents.kinematic.training_faults``)."""
+    if not noise:
+        return "without noise, latency or loss of tracking"
+    sizes = EXACT | dict(noise)
+    return (
+        f"with white noise ({1000 * sizes['position_m']:g} mm, {sizes['rotation_rad']:g} rad) and "
+        f"devices worn up to {100 * sizes['mount_m']:g} cm and {sizes['mount_rad']:g} rad off, "
+        "without latency or loss of tracking"
+    )
 
 
 def _facts(system: KinematicSystem, training: Mapping[str, Any], weights_bytes: int) -> list[str]:

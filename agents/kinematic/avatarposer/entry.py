@@ -19,6 +19,7 @@ from agents.kinematic.entry import CPU, HEADS_ALIGNED, SMOKE, Entry, no_options
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.learning import Config, Learning
 from agents.kinematic.scenario import PAPER_NAMES, Scenario, Variant
+from agents.kinematic.training_faults import EXACT
 
 _SET = "H+2C"
 _WINDOW = WINDOW + 2
@@ -49,16 +50,17 @@ AVATARPOSER = Entry(
                     window=_WINDOW,
                     clip=None,
                     steps=420_000,
+                    noise=EXACT,
                 )
             },
         ),
         "cpu": Config(
             AvatarPoserSpec(size=128, feed_forward=256, dropout=0.0),
-            {"network": replace(CPU, window=_WINDOW)},
+            {"network": replace(CPU, window=_WINDOW, noise=EXACT)},
         ),
         "smoke": Config(
             AvatarPoserSpec(size=32, layers=1, heads=4, feed_forward=32),
-            {"network": replace(SMOKE, window=18)},
+            {"network": replace(SMOKE, window=18, noise=EXACT)},
             validation=12,
         ),
     },

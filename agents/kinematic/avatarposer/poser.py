@@ -26,6 +26,7 @@ from agents.kinematic.recurrent.features import DEVICES as ALL_DEVICES
 from agents.kinematic.recurrent.features import features
 from agents.kinematic.recurrent.training import training_inputs
 from agents.kinematic.switches import SWITCH
+from agents.kinematic.training_faults import Faults, drawn
 from agents.precision import products
 from questsim import differentiable as diff
 from questsim.joint_sensors import SensorSequence
@@ -45,6 +46,7 @@ REFINEMENTS, REFINEMENT_RATE = 10, 0.02
 
 _ARMS = [[JOINTS.index(f"{side}_{part}") for part in ("shoulder", "elbow", "wrist")]
          for side in ("left", "right")]  # fmt: skip
+_Batch = tuple[Windows, Faults | None]
 
 
 @dataclass(frozen=True)
@@ -214,12 +216,17 @@ def make_task(
     assert isinstance(module, AvatarPoserModule) and stage == "network"
     fixed = bank.validation.fixed(validation)
 
-    def draw(rng: np.random.Generator) -> Windows:
-        return bank.draw(learning.batch, rng)
+    def with_faults(windows: Windows, rng: np.random.Generator) -> _Batch:
+        shape = (len(windows), windows.frames, len(ALL_DEVICES))
+        return windows, drawn(learning.noise, shape, rng)
 
-    def loss(windows: Windows) -> tuple[Tensor, dict[str, float]]:
+    def draw(rng: np.random.Generator) -> _Batch:
+        return with_faults(bank.draw(learning.batch, rng), rng)
+
+    def loss(batch: _Batch) -> tuple[Tensor, dict[str, float]]:
+        windows, faults = batch
         seen = torch.zeros(len(windows), 3, dtype=torch.bool)
-        inputs, heading, target = training_inputs(windows, seen)
+        inputs, heading, target = training_inputs(windows, seen, faults)
         with products(learning.bfloat16 and module.training):
             six = module(inputs)
         six = six.float()
@@ -242,7 +249,9 @@ def make_task(
         figures["error_cm"] = float(100.0 * apart.detach().norm(dim=-1).mean())
         return torch.stack(list(terms.values())).sum(), figures
 
+    compared = with_faults(fixed, np.random.default_rng(20_260))
+
     def validate() -> dict[str, float]:
-        return loss(fixed)[1]
+        return loss(compared)[1]
 
     return Task(list(module.parameters()), draw, loss, validate)

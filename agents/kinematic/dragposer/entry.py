@@ -42,7 +42,7 @@ def _system(
     known = ("iterations", "predictor", "constraints", "rotations")
     chosen = {"predictor": "predictor" in trained, **options}
     if chosen.pop("published", module.spec.published):
-        no_options(name, options, (*known, "published"))
+        no_options(name, options, (*known, "published", "predicted_frames"))
         return PublishedDragPoser(module, name, solver="adam", **chosen)
     no_options(name, options, (*known, "published", "solver"))
     return ManyDragPoser(module, name, **chosen)

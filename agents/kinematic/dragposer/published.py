@@ -13,21 +13,25 @@ stream contains, so the first frame is solved to convergence by ``solver``.
 from __future__ import annotations
 
 from collections import deque
+from typing import Any
 
 import numpy as np
 import torch
 
 from agents.kinematic.dragposer.model import UNKNOWNS, PosedSkeleton
 from agents.kinematic.dragposer.networks import (
+    FUTURE,
     HEIGHT_JOINTS,
     LATENT,
     PAST,
     TOKEN_EVERY,
+    DragPoserModule,
 )
 from agents.kinematic.dragposer.residuals import GOOD_POSITION, GOOD_ROTATION, Goal, off_trackers
 from agents.kinematic.dragposer.solver import ADAM_RATE, HIP, DragPoser
 from agents.kinematic.interface import DeviceSignals, UserBody
 from questsim import rotations as rot
+from questsim.errors import InputError
 
 MATRIX_SHARE = 2.0 / 3.0
 """The mean squared difference of two rotation matrices, 8/9 sin^2(a/2), over the solver's mean
@@ -40,9 +44,29 @@ _Frame = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 class PublishedDragPoser(DragPoser):
-    """DragPoser as published; see the module's docstring and ``DragPoser``."""
+    """DragPoser as published; see the module's docstring and ``DragPoser``.
+
+    Args:
+        module, name, options: see ``DragPoser``.
+        predicted_frames: W_f, frames from one run of the predictor to the next, at most 64; by
+            default ``FUTURE_FRAMES`` (the paper also has 60).
+    """
 
     passes_on = False
+
+    def __init__(
+        self,
+        module: DragPoserModule,
+        name: str = "DragPoser",
+        predicted_frames: int | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(module, name, **options)
+        most = FUTURE * TOKEN_EVERY
+        if predicted_frames is not None and not 1 <= predicted_frames <= most:
+            what = f"predicted_frames is {predicted_frames}, not from 1 to {most}"
+            raise InputError(what, name)
+        self._predicted_frames = predicted_frames
 
     def _begin(self, body: UserBody) -> None:
         super()._begin(body)
@@ -81,7 +105,8 @@ class PublishedDragPoser(DragPoser):
         if not self.use_predictor or not self._past:
             return latent
         if not self._ahead:
-            frames = FUTURE_FRAMES[min(max(len(self._reporting), 3), 6)]
+            usual = FUTURE_FRAMES[min(max(len(self._reporting), 3), 6)]
+            frames = self._predicted_frames or usual
             tokens = self._predicted(-(-frames // TOKEN_EVERY))
             # Each frame's target is the next predicted token.
             self._ahead = [tokens[j // TOKEN_EVERY] for j in range(frames)]

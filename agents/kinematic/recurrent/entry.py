@@ -10,12 +10,12 @@ from torch import nn
 from agents.kinematic.entry import CPU, HEADS_ALIGNED, SMOKE, Entry, no_options
 from agents.kinematic.interface import KinematicSystem
 from agents.kinematic.learning import Config, Learning
-from agents.kinematic.recurrent.faults import EXACT
 from agents.kinematic.recurrent.hmdposer import HmdPoserSpec
 from agents.kinematic.recurrent.lgsik import LgsikSpec
 from agents.kinematic.recurrent.poser import RecurrentModule, RecurrentPoser
 from agents.kinematic.recurrent.training import HMDPOSER_WEIGHTS, make_task
 from agents.kinematic.scenario import PAPER_NAMES, Scenario, Variant
+from agents.kinematic.training_faults import EXACT
 from questsim.sensors import SENSOR_SETS
 
 _SETS = tuple(PAPER_NAMES)

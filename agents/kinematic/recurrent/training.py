@@ -10,11 +10,11 @@ from torch import Tensor, nn
 
 from agents.kinematic.data import MotionBank, Windows
 from agents.kinematic.learning import Learning, Task
-from agents.kinematic.recurrent.faults import Faults, drawn
 from agents.kinematic.recurrent.features import DEVICES, HEAD, SENSOR_JOINTS, features
 from agents.kinematic.recurrent.hmdposer import HmdPoserNet
 from agents.kinematic.recurrent.lgsik import LgsikNet
 from agents.kinematic.recurrent.poser import SHAPE_UNIT, VISIBLE, RecurrentModule
+from agents.kinematic.training_faults import Faults, drawn
 from agents.precision import products
 from questsim import differentiable as diff
 from questsim.joint_sensors import SENSOR_FPS, mount

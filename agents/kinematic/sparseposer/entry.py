@@ -14,6 +14,7 @@ from agents.kinematic.scenario import Scenario, Variant
 from agents.kinematic.sparseposer.networks import SparsePoserModule, SparsePoserSpec
 from agents.kinematic.sparseposer.poser import SparsePoser
 from agents.kinematic.sparseposer.training import WEIGHTS, make_task
+from agents.kinematic.training_faults import EXACT
 from questsim.sensors import SENSOR_SETS
 
 _SIX = SENSOR_SETS["6T"]
@@ -22,8 +23,9 @@ SCENARIOS = (
     Scenario("6, 7 frames late", _SIX, options=(("future_frames", 7),)),
 )
 _PAPER = Learning(
-    learning_rate=1e-4, final_rate=1.0, batch=256, window=64, clip=None, epochs=500, stride=8
-)
+    learning_rate=1e-4, final_rate=1.0, batch=256, window=64, clip=None, epochs=500, stride=8,
+    noise=EXACT,
+)  # fmt: skip
 
 
 def _system(
@@ -48,15 +50,15 @@ SPARSEPOSER = Entry(
         "cpu": Config(
             SparsePoserSpec(channels=(8, 12, 20, 32), kernel=9),
             {
-                "generator": replace(CPU, share=0.75, window=64),
-                "ik": Learning(share=0.25, batch=32, window=64, weights=WEIGHTS),
+                "generator": replace(CPU, share=0.75, window=64, noise=EXACT),
+                "ik": Learning(share=0.25, batch=32, window=64, weights=WEIGHTS, noise=EXACT),
             },
         ),
         "smoke": Config(
             SparsePoserSpec(channels=(8, 8, 8, 8), kernel=5, ik_hidden=32),
             {
-                "generator": replace(SMOKE, share=0.7, window=64),
-                "ik": replace(SMOKE, share=0.3, window=64, weights=WEIGHTS),
+                "generator": replace(SMOKE, share=0.7, window=64, noise=EXACT),
+                "ik": replace(SMOKE, share=0.3, window=64, weights=WEIGHTS, noise=EXACT),
             },
             validation=12,
         ),

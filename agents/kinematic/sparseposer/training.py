@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from agents.kinematic.data import MotionBank, Windows
 from agents.kinematic.learning import Learning, Task
 from agents.kinematic.sparseposer.networks import ENDS, LIMBS, TURNED, SparsePoserModule, root_space
+from agents.kinematic.training_faults import Faults, drawn
 from agents.precision import products
 from questsim import differentiable as diff
 from questsim.skeleton import NUM_JOINTS
@@ -28,10 +29,20 @@ NORMALISED_BY = 256
 """Number of windows from which normalisers are computed."""
 
 
-def _signals(windows: Windows) -> tuple[Tensor, Tensor, Tensor]:
-    """World positions and orientations of the tracked joints, and orientations of all joints."""
+_Batch = tuple[Windows, Faults | None]
+
+
+def _signals(windows: Windows, faults: Faults | None = None) -> tuple[Tensor, Tensor, Tensor]:
+    """Measured positions and orientations of the tracked joints; true orientations of all joints.
+
+    Everything is in the world.
+    """
     turned = diff.matrix_to_quat(windows.world)
-    return windows.position[:, :, list(ENDS)], turned[:, :, list(TURNED)], turned
+    position = windows.position[:, :, list(ENDS)]
+    if faults is None:
+        return position, turned[:, :, list(TURNED)], turned
+    position, rotation = faults.apply(position, windows.world[:, :, list(TURNED)])
+    return position, diff.matrix_to_quat(rotation), turned
 
 
 def measure_normalisers(module: SparsePoserModule, windows: Windows) -> None:
@@ -88,21 +99,27 @@ def make_task(
         trained = list(module.ik.parameters())
         loss = _ik_loss(module, (WEIGHTS | learning.weights)[KEEP])
 
-    def draw(rng: np.random.Generator) -> Windows:
-        return bank.draw(learning.batch, rng)
+    def with_faults(windows: Windows, rng: np.random.Generator) -> _Batch:
+        return windows, drawn(learning.noise, (len(windows), windows.frames, len(ENDS)), rng)
+
+    def draw(rng: np.random.Generator) -> _Batch:
+        return with_faults(bank.draw(learning.batch, rng), rng)
+
+    compared = with_faults(fixed, np.random.default_rng(20_260))
 
     def validate() -> dict[str, float]:
-        return loss(fixed)[1]
+        return loss(compared)[1]
 
     return Task(trained, draw, loss, validate)
 
 
-_Loss = Callable[[Windows], tuple[Tensor, dict[str, float]]]
+_Loss = Callable[[_Batch], tuple[Tensor, dict[str, float]]]
 
 
-def _prepared(module: SparsePoserModule, windows: Windows) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _prepared(module: SparsePoserModule, batch: _Batch) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Input channels, ends and normalised offsets, and the target dual quaternions."""
-    position, turned, everything = _signals(windows)
+    windows, _ = batch
+    position, turned, everything = _signals(*batch)
     sparse, ends = module.sparse(position, turned)
     target = root_space(windows.position, everything)
     return sparse, ends, module.normal_offsets(windows.offsets), target
@@ -122,8 +139,9 @@ def _generator_loss(module: SparsePoserModule, bfloat16: bool) -> _Loss:
     weight = torch.ones(NUM_JOINTS, 1)
     weight[0] = ROOT_WEIGHT
 
-    def loss(windows: Windows) -> tuple[Tensor, dict[str, float]]:
-        sparse, _, offsets, target = _prepared(module, windows)
+    def loss(batch: _Batch) -> tuple[Tensor, dict[str, float]]:
+        windows, _ = batch
+        sparse, _, offsets, target = _prepared(module, batch)
         with products(bfloat16 and module.training):
             out = module.generator(sparse, offsets.flatten(1))
         dual = module.unit(out.float())
@@ -138,8 +156,9 @@ def _generator_loss(module: SparsePoserModule, bfloat16: bool) -> _Loss:
 def _ik_loss(module: SparsePoserModule, keep_weight: float) -> _Loss:
     limbs = [limb.end for limb in LIMBS.values()]
 
-    def loss(windows: Windows) -> tuple[Tensor, dict[str, float]]:
-        sparse, ends, offsets, target = _prepared(module, windows)
+    def loss(batch: _Batch) -> tuple[Tensor, dict[str, float]]:
+        windows, _ = batch
+        sparse, ends, offsets, target = _prepared(module, batch)
         with torch.no_grad():
             generated = module.generate(sparse, offsets)
         solved = module.solve(generated, ends, offsets)

@@ -1,4 +1,4 @@
-"""Errors of the devices in the training of HMD-Poser and LGSIK-Poser.
+"""Errors of the devices in the training of the systems that learn from what devices measure.
 
 The same errors as in the comparison (``questsim.sensors.SensorNoise``): white noise on positions
 and orientations, and mounts off their nominal places, constant in a window.
