@@ -10,11 +10,12 @@ from agents.comparison.report import LABELS, SCHEMA, SCHEMA_VERSION, Row
 from agents.kinematic.store import read_system_card
 from agents.resolve import SHIPPED, shipped_systems
 from agents.shipping.cards import SOURCE, figures_text, rewrite_cards
-from agents.shipping.system_card import SHOWN
+from agents.shipping.system_card import SHOWN, _signals
 from docs.figures.comparison_table import (
     PAGES,
     course,
     full,
+    gains,
     noise,
     rows_of,
     short,
@@ -117,3 +118,35 @@ def test_each_condition_has_its_column_and_the_usual_tables_have_none_of_them():
     ]
     for text in (full([exact, white, own, standing]), short([exact, white, own, standing])):
         assert "noise" not in text and "standing" not in text and "| a | 6 | " in text
+
+
+def test_gains_are_the_change_from_headset_and_controllers_without_physics():
+    def row(agent, scenario, error, **more):
+        return Row(agent, scenario, 0, {}, {"mpjpe_cm": error, **more}, None)
+
+    rows = [row("a", "HMD", 2.0), row("a", "HMD+3IMU", 1.5), row("b", "HMD", 1.0)]
+    behind = [
+        row("a+physics", "HMD", 2.0, success_percent=90.0),
+        row("a+physics", "HMD+3IMU", 1.0, success_percent=90.0),
+    ]
+    assert gains([*rows, *behind]).splitlines()[2:] == [
+        "| a | HMD | - | 2.00 | - | - | - | - | - |",
+        "| a | HMD+3IMU | - | 1.50 (-25 %) | - | - | - | - | - |",
+    ]
+
+
+def test_what_is_no_report_of_a_comparison_is_refused_in_one_line(tmp_path):
+    path = tmp_path / "metrics.json"
+    with pytest.raises(InputError, match="cannot be read"):
+        rows_of(path)
+    path.write_text('{"schema": "questsim-metrics", "version": 1}')
+    with pytest.raises(InputError, match="is not a report of a comparison"):
+        rows_of(path)
+
+
+def test_a_card_names_the_errors_of_the_devices_in_training():
+    assert _signals(None) == "without noise, latency or loss of tracking"
+    assert _signals({"position_m": 0.005, "mount_rad": 0.17}) == (
+        "with white noise (5 mm, 0 rad) and devices worn up to 0 cm and 0.17 rad off, "
+        "without latency or loss of tracking"
+    )

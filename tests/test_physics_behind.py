@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from agents.comparison.compare import compare
+from agents.comparison.costs import plan_costs
 from agents.comparison.options import CompareArgs
+from agents.comparison.run import Plan, suiting
 from agents.evaluation import EvaluateArgs, evaluate
 from agents.evaluation.follow import evaluation_sim
 from agents.evaluation.rollout import env_config
@@ -23,6 +25,7 @@ from agents.kinematic.physics_behind import (
     rollout_samples,
 )
 from agents.loading import load_agent
+from agents.resolve import resolve
 from agents.shipping.catalogue import catalogue, kept_families
 from agents.shipping.families import families
 from questsim.errors import InputError
@@ -135,6 +138,17 @@ def test_a_comparison_has_the_system_without_and_with_physics_and_the_policy(tmp
     # Who stands on the floor needs nothing that pulls at the pelvis.
     assert all(row["pooled"]["root_force_bw"] < 0.05 for row in rows)
     assert rows[2]["parameters"] > rows[1]["parameters"] == 0
+
+
+def test_a_system_with_physics_takes_the_time_of_the_system_and_that_of_the_avatar():
+    agent = resolve("ik+physics")
+    (scenario,) = suiting(agent)
+    measured: dict[str, float | None] = {f"ik: {scenario.name}": 2.0, TRACKER: 1.0}
+    measured["retargeting"] = 0.5
+    plan = Plan(agent, scenario, None, ("estimate", "user"))
+    times = [costs.ms for costs in plan_costs(plan, [MOTION], measured)]
+    # 36 frames of the avatar in the time of 60 of the system.
+    assert times == pytest.approx([2.0, 2.9, 2.9])
 
 
 def test_an_evaluation_of_a_system_with_physics_writes_the_report_of_the_policies(tmp_path):

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from agents.comparison.conditions import condition_of
-from agents.comparison.plots import KINDS, kind_of
+from agents.comparison.plots import KINDS, kind_of, scenario_text
 from agents.comparison.report import RECORDING, Row
 from agents.comparison.summary import (
     CURVE_BIN_S,
@@ -72,7 +72,7 @@ def _scenario(row: Row) -> str:
 
 
 def _label(row: Row) -> str:
-    return f"{Path(row.agent).name}, {row.scenario}"
+    return f"{Path(row.agent).name}, {scenario_text(row)}"
 
 
 def _panels(
@@ -214,11 +214,37 @@ def skating_and_accuracy(scored: Sequence[Scored], path: Path) -> None:
 
 def _name_dots(axis: Axes, dots: Sequence[tuple[float, float, str]]) -> None:
     """Numbers at the dots and their names at the right, so that no names overlap."""
+    places = np.array([dot[:2] for dot in dots]).reshape(-1, 2)
+    beside = free_corners(places / np.maximum(places.max(axis=0, initial=1e-9), 1e-9))
     lines = []
-    for number, (x, y, name) in enumerate(dots, start=1):
-        axis.annotate(str(number), (x, y), (4, 4), textcoords="offset points", fontsize=7)
+    for number, ((x, y, name), (right, up)) in enumerate(zip(dots, beside, strict=True), start=1):
+        axis.annotate(
+            str(number), (x, y), (4 * right, 4 * up), textcoords="offset points", fontsize=7,
+            ha="left" if right > 0 else "right", va="bottom" if up > 0 else "top",
+        )  # fmt: skip
         lines.append(f"{number:>2}  {name}: {x:.1f} cm, {y:.1f} cm/s")
     axis.annotate("\n".join(lines), (1.02, 1.0), xycoords="axes fraction", va="top", fontsize=7)
+
+
+def free_corners(places: np.ndarray) -> list[tuple[int, int]]:
+    """For each dot, the side on which its number is farthest from other dots and their numbers.
+
+    Args:
+        places: ``(N, 2)`` of the dots, as shares of the axes.
+
+    Returns:
+        Signs of x and y from each dot; to the right and above it unless another side is freer.
+    """
+    corners = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])
+    taken, found = list(places), []
+    for number, place in enumerate(places):
+        others = np.array([*taken[:number], *taken[number + 1 :]]).reshape(-1, 2)
+        numbers = place + 0.025 * corners
+        room = np.linalg.norm(numbers[:, None] - others, axis=-1).min(axis=1, initial=0.06)
+        best = int(room.argmax())
+        taken.append(numbers[best])
+        found.append((int(corners[best, 0]), int(corners[best, 1])))
+    return found
 
 
 def error_by_joint(scored: Sequence[Scored], path: Path) -> None:
@@ -231,10 +257,10 @@ def error_by_joint(scored: Sequence[Scored], path: Path) -> None:
             found.append((row, sums / frames))
     if not found:
         found = [(Row("nothing", "", 0, {}, {}, None), np.zeros(len(JOINTS)))]
-    columns = min(len(found), 5)
-    lines = -(-len(found) // columns)
+    lines = -(-len(found) // 6)
+    columns = -(-len(found) // lines)
     most = max(float(np.percentile(errors, 90)) for _, errors in found) or 1.0
-    with figure_file(path, 2.2 * columns + 0.8, 3.4 * lines) as figure:
+    with figure_file(path, 2.0 * columns + 0.8, 3.4 * lines) as figure:
         axes = figure.subplots(lines, columns, squeeze=False)
         dots = None
         for axis in axes.flat:
@@ -254,8 +280,13 @@ def _body(axis: Axes, errors: np.ndarray, most: float):
         *places.T, c=errors, s=30 + 25 * errors, cmap="plasma", vmin=0.0, vmax=most, zorder=2
     )
     worst = int(errors.argmax())
-    axis.annotate(f"{errors[worst]:.1f}", places[worst], xytext=(7, -3),
-                  textcoords="offset points", fontsize=7)  # fmt: skip
+    # Away from the body, so that the number lies on no other joint.
+    outwards = 1.0 if places[worst, 0] >= 0 else -1.0
+    radius = 0.5 * float(np.sqrt(30 + 25 * errors[worst]))
+    axis.annotate(
+        f"{errors[worst]:.1f}", places[worst], xytext=(outwards * (radius + 2), -3),
+        textcoords="offset points", fontsize=7, ha="left" if outwards > 0 else "right",
+    )  # fmt: skip
     axis.set_xlim(-0.65, 0.65)
     axis.set_ylim(-0.1, 1.75)
     axis.set_aspect("equal")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -34,6 +35,11 @@ def kind_of(row: Row) -> str:
     if row.pooled.get("success_percent") is None:
         return "kinematic"
     return "with physics behind it" if base_of(row.agent) is not None else "policy"
+
+
+def scenario_text(row: Row) -> str:
+    """Its scenario for figures, where a bare number does not say that it counts trackers."""
+    return re.sub(r"^(\d+)(?=,|$)", r"\1 trackers", row.scenario)
 
 
 def plot_accuracy(rows: Sequence[Row], path: Path) -> None:
@@ -91,7 +97,7 @@ def _bars(
 def _label(axis: Axes, rows: Sequence[Row]) -> None:
     names = [row.agent for row in rows]
     short = [n if len(n) <= _LONGEST_NAME else "..." + n[3 - _LONGEST_NAME :] for n in names]
-    labels = [f"{name}: {row.scenario}" for name, row in zip(short, rows, strict=True)]
+    labels = [f"{name}: {scenario_text(row)}" for name, row in zip(short, rows, strict=True)]
     axis.set_yticks(range(len(rows)), labels)
     axis.set_ylim(len(rows) - 0.4, -0.6)
     for each in axis.get_figure(root=True).axes:  # type: ignore[union-attr]

@@ -15,8 +15,11 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from agents.comparison.plots import scenario_text
 from agents.comparison.report import RECORDING, Row
 from docs.figures.comparison_table import rows_of
+from questsim.cli import guarded
+from questsim.errors import InputError
 from questsim.plots import figure_file
 
 PICTURE = Path(__file__).parents[1] / "images" / "comparison-people.png"
@@ -48,9 +51,15 @@ def percent(row: Row) -> str:
 
 
 def main() -> None:
-    """Print the table and draw the picture."""
+    """Print the table and draw the picture.
+
+    Raises:
+        InputError: a file is no report of a comparison, or they have no row in common.
+    """
     args = tyro.cli(Args)
     both = list(pairs(args.known, args.others))
+    if not both:
+        raise InputError(f"has no row of {args.known}", args.others, "compare the same agents")
     print(
         "| agent | scenario | MPJPE (cm), known | others | skate (cm/s), known | others |", end=""
     )
@@ -66,7 +75,7 @@ def main() -> None:
         for number, label in enumerate(("people of the training", "other people")):
             errors = np.array([pair[number].pooled["mpjpe_cm"] for pair in both], float)
             axis.barh(place + 0.2 - 0.4 * number, errors, 0.4, label=label)
-        names = [f"{row.agent}, {row.scenario}" for row, _ in both]
+        names = [f"{row.agent}, {scenario_text(row)}" for row, _ in both]
         axis.set_yticks(place, names, fontsize=8)
         axis.set_xlabel("MPJPE (cm)")
         axis.margins(y=0.01)
@@ -74,4 +83,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(guarded(main))

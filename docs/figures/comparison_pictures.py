@@ -1,6 +1,6 @@
 """The pictures and the film of a comparison: ``python -m docs.figures.comparison_pictures SCORES``.
 
-    python -m docs.figures.comparison_pictures SCORES [--film] [--motions bandai-namco-2:test]
+    python -m docs.figures.comparison_pictures SCORES [--film]
 
 Draws the figures of a folder's complete rows again, without computing any, and puts them into
 ``docs/images``. Those that need means alone (accuracy, plausibility) are drawn from the kept report
@@ -10,10 +10,11 @@ sheet and the worst clips with the shipped agents; the film stays in SCORES.
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import tyro
 from tyro.conf import Positional
@@ -23,11 +24,13 @@ from agents.comparison.conditions import Start
 from agents.comparison.drawn import DRAWN, PREDICTOR, first_starts
 from agents.comparison.film import SHEET
 from agents.comparison.options import CompareArgs
+from agents.comparison.record import FILE as RECORD_FILE
 from agents.comparison.worst import FILE as WORST
 from agents.kinematic.device_faults import Noise
 from agents.shipping.cards import SOURCE
 from docs.figures.comparison_table import rows_of
 from questsim.cli import guarded
+from questsim.errors import InputError
 from questsim.files import whole_file
 
 IMAGES = Path(__file__).parents[1] / "images"
@@ -45,30 +48,44 @@ class PicturesArgs:
 
     scores: Positional[Path]
     """Folder of the comparison (evaluate.py --compare --out)."""
-    motions: str = "bandai-namco-2:test"
-    """Motions of the comparison."""
-    max_clips: int | None = 48
-    """Of the comparison."""
-    fewer_clips: int | None = 24
-    """Of the comparison."""
     film: bool = False
     """Also make the film, the sheet and the worst clips."""
     agents: tuple[str, ...] = ()
     """Only these agents, in figures and film."""
 
 
+def kept_options(scores: Path) -> dict[str, Any]:
+    """Motions, numbers of clips and seed of the comparison in a folder, as in ``CompareArgs``.
+
+    Raises:
+        InputError: there is no comparison in the folder.
+    """
+    try:
+        with (scores / RECORD_FILE).open(encoding="utf-8") as file:
+            what = json.loads(file.readline())
+        found = {
+            "motions": what["data"]["motions"],
+            "max_clips": what["data"]["clips"],
+            "fewer_clips": what["fewer_clips"],
+            "seed": what["seed"],
+        }
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            "has no comparison", scores, "name the --out of evaluate.py --compare"
+        ) from error
+    return found | {key: tuple(what[key]) for key in ("fewer_rows",) if key in what}
+
+
 def draw(args: PicturesArgs) -> int:
     """Draw the figures and copy them; returns the exit code.
 
     Raises:
-        InputError: see ``compare``.
+        InputError: see ``kept_options`` and ``compare``.
     """
     code = compare(
         CompareArgs(
             agents=args.agents,
-            motions=args.motions,
-            max_clips=args.max_clips,
-            fewer_clips=args.fewer_clips,
+            **kept_options(args.scores),
             out=args.scores,
             starts=get_args(Start),
             noise=get_args(Noise),

@@ -4,12 +4,11 @@
 
 Prints the tables of the kept report beside the shipped weights, or of the named one. ``--write``
 replaces those in the pages: between ``<!-- comparison: short -->`` and ``<!-- end -->``; the others
-are ``full``, ``noise``, ``starts`` and ``course``.
+are ``full``, ``gains``, ``noise``, ``starts`` and ``course``.
 """
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 from collections.abc import Sequence
@@ -17,10 +16,21 @@ from pathlib import Path
 from typing import get_args
 
 from agents.comparison.conditions import Start, row_name
-from agents.comparison.report import COSTS, LABELS, RECORDING, TABLES, Row, table
+from agents.comparison.report import (
+    COSTS,
+    LABELS,
+    RECORDING,
+    SCHEMA,
+    SCHEMA_VERSION,
+    TABLES,
+    Row,
+    table,
+)
 from agents.kinematic.device_faults import NOISES
+from agents.kinematic.scenario import PAPER_NAMES
 from agents.resolve import base_of
 from agents.shipping.cards import SOURCE
+from agents.shipping.model_card import read_report
 from questsim.cli import guarded
 from questsim.errors import InputError
 from questsim.files import whole_file
@@ -31,11 +41,12 @@ SHORT_SCENARIOS = ("60 Hz", "6", "4", "HMD", "HMD+3IMU", "H")
 NOT_SHORT = ("lgsik-lengths",)
 DOCS = Path(__file__).parents[1]
 PAGES = (DOCS / "comparison.md", DOCS / "results.md")
+GAIN_NAMES = ("mpjre_deg", "mpjpe_cm", "mpjve_cm_s", "h_pe_cm", "u_pe_cm", "l_pe_cm", "r_pe_cm")
 NOISE_NAMES = ("mpjpe_cm", "jitter_100_m_s3", "foot_skate_cm_s", "success_percent")
 COURSE_AT = (0, 1, 2, 3, 5, 6, 10, 20, 40)
 """Tenths of a second in the table of the course; 40 frames are 0.67 s."""
 _PLACE = re.compile(
-    r"(<!-- comparison: (short|full|noise|starts|course) -->\n).*?(<!-- end -->)", re.DOTALL
+    r"(<!-- comparison: (short|full|gains|noise|starts|course) -->\n).*?(<!-- end -->)", re.DOTALL
 )
 
 
@@ -55,14 +66,19 @@ def main() -> None:
 
 
 def rows_of(report: Path) -> list[Row]:
-    """The rows of a comparison's report."""
-    return [Row(**row) for row in json.loads(report.read_text(encoding="utf-8"))["rows"]]
+    """The rows of a comparison's report.
+
+    Raises:
+        InputError: it is missing, or no report of a comparison of this version.
+    """
+    found = read_report(report, SCHEMA, SCHEMA_VERSION, "a comparison", "comparison.json")
+    return [Row(**row) for row in found["rows"]]
 
 
 def written(page: Path, rows: Sequence[Row]) -> str:
     """The text of a page with the tables of the rows in their places."""
-    made = {"short": short, "full": full, "noise": noise, "starts": starts, "course": course}
-    tables = {name: make(rows) for name, make in made.items()}
+    made = (short, full, gains, noise, starts, course)
+    tables = {make.__name__: make(rows) for make in made}
     text = page.read_text(encoding="utf-8")
     return _PLACE.sub(lambda m: f"{m[1]}\n{tables[m[2]]}\n\n{m[3]}", text)
 
@@ -86,6 +102,22 @@ def full(rows: Sequence[Row]) -> str:
     parts = [f"### {title}\n\n{table(rows, names)}" for title, names in TABLES.items()]
     streams = [row for row in rows if row.parameters and base_of(row.agent) is None]
     return "\n\n".join([*parts, f"### Costs\n\n{table(streams, COSTS)}"])
+
+
+def gains(rows: Sequence[Row]) -> str:
+    """Errors by set of sensors, with the change from headset and controllers, without physics."""
+    there = {(row.agent, row.scenario): row for row in rows}
+    first, *more = PAPER_NAMES.values()
+    lines = _table(["agent", "scenario", *(LABELS[name] for name in GAIN_NAMES)])
+    for agent in dict.fromkeys(row.agent for row in rows):
+        plain = there.get((agent, first))
+        found = [there[agent, name] for name in more if (agent, name) in there]
+        if plain is None or not found or plain.pooled.get("success_percent") is not None:
+            continue
+        for row in (plain, *found):
+            cells = [_gain(row, plain, name) for name in GAIN_NAMES]
+            lines.append(_line([agent, row.scenario, *cells]))
+    return "\n".join(lines)
 
 
 def noise(rows: Sequence[Row]) -> str:
@@ -130,6 +162,13 @@ def course(rows: Sequence[Row]) -> str:
             cells = [f"{row.course_cm[i]:.2f}" for i in COURSE_AT]
             lines.append(_line([row.agent, row.scenario, *cells]))
     return "\n".join(lines)
+
+
+def _gain(row: Row, plain: Row, name: str) -> str:
+    value, before = row.pooled.get(name), plain.pooled.get(name)
+    if row is plain or not value or not before:
+        return _value(row, name)
+    return f"{value:.2f} ({round(100.0 * (value / before - 1.0)):+d} %)"
 
 
 def _value(row: Row | None, name: str) -> str:

@@ -21,6 +21,8 @@ from agents.kinematic.estimates import at_sensor_rate
 from agents.kinematic.interface import KinematicSystem, UserBody
 from agents.kinematic.scenario import WINDOW, Scenario
 from agents.kinematic.store import load_system
+from questsim.cli import guarded
+from questsim.errors import InputError, at_least
 from questsim.joint_sensors import SensorSequence, readings
 from questsim.motion.motion import Motion
 from questsim.motion.spec import load_recordings
@@ -56,7 +58,11 @@ def part(sequence: SensorSequence, begin: int, count: int) -> SensorSequence:
 def by_frame(
     system: KinematicSystem, scenario: Scenario, motions: Sequence[Motion]
 ) -> tuple[np.ndarray, int]:
-    """Mean joint error in cm ``(40,)`` by frame, heads aligned, and the number of windows."""
+    """Mean joint error in cm ``(40,)`` by frame, heads aligned, and the number of windows.
+
+    Raises:
+        InputError: no motion has as many frames as a window.
+    """
     errors = []
     for motion in motions:
         sequence, body = readings(motion, scenario.devices), UserBody.of(motion)
@@ -66,21 +72,43 @@ def by_frame(
             want = truth[begin : begin + WINDOW]
             got = aligned(poses.forward_kinematics()[0], want, HEAD)
             errors.append(joints_cm(got, want))
+    if not errors:
+        raise InputError(f"no motion has {WINDOW} frames", "--motions", "use longer ones")
     return np.mean(errors, axis=0), len(errors)
 
 
+def systems_of(names: Sequence[str]) -> dict[str, tuple[KinematicSystem, list[Scenario]]]:
+    """Systems by name, each with its scenarios that stream.
+
+    Raises:
+        InputError: a system does not have the protocol with windows.
+    """
+    found = {}
+    for name in names:
+        system = load_system(name)
+        if not any(scenario.online for scenario in system.scenarios):
+            what = f"{name} does not have the protocol with windows"
+            raise InputError(what, "--agents", "use hmdposer, lgsik or a run of theirs")
+        found[name] = system, [scenario for scenario in system.scenarios if scenario.plain]
+    return found
+
+
 def main() -> None:
-    """Print the table and draw the picture."""
+    """Print the table and draw the picture.
+
+    Raises:
+        InputError: motions or agents cannot be used.
+    """
     args = tyro.cli(Args)
+    at_least(1, max_clips=args.max_clips)
+    systems = systems_of(args.agents)
     motions = at_sensor_rate(load_recordings(args.motions), args.max_clips)
     count = 0
     print(f"| agent | scenario | {' | '.join(f'frame {n}' for n in SHOWN)} |")
     print("|" + "---|" * (len(SHOWN) + 2))
     with figure_file(PICTURE, 8.0, 4.0) as figure:
         axis = figure.subplots()
-        for number, name in enumerate(args.agents):
-            system = load_system(name)
-            plain = [scenario for scenario in system.scenarios if scenario.plain]
+        for number, (name, (system, plain)) in enumerate(systems.items()):
             for scenario, style in zip(plain, ("-", "--", ":"), strict=True):
                 errors, count = by_frame(system, scenario, motions)
                 cells = " | ".join(f"{errors[n - 1]:.2f}" for n in SHOWN)
@@ -96,4 +124,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(guarded(main))
