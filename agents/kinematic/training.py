@@ -14,7 +14,7 @@ from torch import nn
 
 from agents.kinematic.data import MotionBank, motions_record
 from agents.kinematic.fit import Fit
-from agents.kinematic.learning import Config
+from agents.kinematic.learning import Config, Learning
 from agents.kinematic.options import TrainSystemArgs
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.store import (
@@ -194,11 +194,6 @@ def _fit(
     def save(folder: Path, training: dict[str, Any], resume: dict[str, Any] | None) -> None:
         save_system(folder, module, args.agent, config.spec, training, resume)
 
-    record = {"preset": args.preset, "seed": args.seed, "threads": args.threads, **data}
-    if args.start is not None:
-        record["start"] = str(args.start)
-    if any(learning.noise.values()):
-        record["noise"] = learning.noise
     fit = Fit(
         name=name,
         module=module,
@@ -207,7 +202,7 @@ def _fit(
         folder=args.out / name,
         budget=_budget(name, args, config, bank),
         save=save,
-        record=record | {"trained": stages[: stages.index(name) + 1]},
+        record=_record(args, learning, data) | {"trained": stages[: stages.index(name) + 1]},
         seed=seed,
         log=args.log,
         team=team,
@@ -215,6 +210,16 @@ def _fit(
     if args.resume and (fit.folder / "last" / CARD_FILE).exists():
         fit.resume()
     return fit
+
+
+def _record(args: TrainSystemArgs, learning: Learning, data: dict[str, Any]) -> dict[str, Any]:
+    """What a system's description says of its training."""
+    record = {"preset": args.preset, "seed": args.seed, "threads": args.threads, **data}
+    if args.start is not None:
+        record["start"] = str(args.start)
+    if any(learning.noise.values()):
+        record["noise"] = learning.noise
+    return record
 
 
 def _budget(name: str, args: TrainSystemArgs, config: Config, bank: MotionBank) -> Budget:

@@ -229,25 +229,7 @@ def make_task(
         inputs, heading, target = training_inputs(windows, seen, faults)
         with products(learning.bfloat16 and module.training):
             six = module(inputs)
-        six = six.float()
-        back = heading[:, -1].transpose(-1, -2)
-        want = target.local[:, -1].clone()
-        want[:, 0] = back @ want[:, 0]
-        want_six = diff.matrix_to_six_d(want)
-        got, there = (
-            diff.positions_from_root(diff.world_matrices(each), target.offsets)
-            for each in (diff.six_d_to_matrix(six), want)
-        )
-        terms = {
-            "root": ROOT_WEIGHT * (six[:, 0] - want_six[:, 0]).abs().mean(),
-            "rotations": (six[:, 1:] - want_six[:, 1:]).abs().mean(),
-            "positions": (got - there).abs().mean(),
-        }
-        figures = {name: float(term.detach()) for name, term in terms.items()}
-        head = JOINTS.index("head")
-        apart = (got - got[:, head : head + 1]) - (there - there[:, head : head + 1])
-        figures["error_cm"] = float(100.0 * apart.detach().norm(dim=-1).mean())
-        return torch.stack(list(terms.values())).sum(), figures
+        return _compared(six.float(), heading[:, -1], target)
 
     compared = with_faults(fixed, np.random.default_rng(20_260))
 
@@ -255,3 +237,24 @@ def make_task(
         return loss(compared)[1]
 
     return Task(list(module.parameters()), draw, loss, validate)
+
+
+def _compared(six: Tensor, heading: Tensor, target: Windows) -> tuple[Tensor, dict[str, float]]:
+    """The loss of estimated rotations ``(B, 22, 6)``, and its terms and ``error_cm`` by name."""
+    want = target.local[:, -1].clone()
+    want[:, 0] = heading.transpose(-1, -2) @ want[:, 0]
+    want_six = diff.matrix_to_six_d(want)
+    got, there = (
+        diff.positions_from_root(diff.world_matrices(each), target.offsets)
+        for each in (diff.six_d_to_matrix(six), want)
+    )
+    terms = {
+        "root": ROOT_WEIGHT * (six[:, 0] - want_six[:, 0]).abs().mean(),
+        "rotations": (six[:, 1:] - want_six[:, 1:]).abs().mean(),
+        "positions": (got - there).abs().mean(),
+    }
+    figures = {name: float(term.detach()) for name, term in terms.items()}
+    head = JOINTS.index("head")
+    apart = (got - got[:, head : head + 1]) - (there - there[:, head : head + 1])
+    figures["error_cm"] = float(100.0 * apart.detach().norm(dim=-1).mean())
+    return torch.stack(list(terms.values())).sum(), figures
