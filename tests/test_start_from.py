@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 import torch
 
+from agents.agent import Needs
+from agents.loading import load_agent
+from agents.policy.checkpoint import save_policy
 from agents.policy.policy_agent import new_policy
 from agents.policy.spec import SPARSE_BLOCKS, Layout, PolicySpec
-from agents.training.start_from import copy_actor
+from agents.training.options import TrainArgs
+from agents.training.presets import preset_of
+from agents.training.start_from import copy_actor, with_layers_of_start
 from envs.config import EnvConfig
 from envs.layout import observation_layout
 from questsim.errors import InputError
@@ -45,3 +52,54 @@ def test_new_units_learn_from_the_first_step_and_each_differently():
 def test_a_narrower_or_deeper_policy_cannot_start_from_another(hidden):
     with pytest.raises(InputError, match="networks do not fit"):
         copy_actor(policy(8, 6), policy(*hidden), "old")
+
+
+def layers(args: TrainArgs, stage: str) -> tuple[int, ...]:
+    preset = preset_of("cpu", args.estimates is not None)
+    return with_layers_of_start(preset, args, [stage]).stages[stage].policy.hidden
+
+
+@pytest.mark.parametrize("stage", ["teacher", "student", "finetune"])
+def test_a_stage_has_the_layers_of_its_start_unless_others_are_set(tmp_path: Path, stage) -> None:
+    start, out = tmp_path / "start", tmp_path / "run"
+    save_policy(start, policy(24, 16), Needs(), {})
+    args = {"out": out, "start": start, "stage": stage}
+    plain = preset_of("cpu").stages[stage].policy.hidden
+    assert layers(TrainArgs(**args), stage) == (24, 16)
+    assert layers(TrainArgs(out=out, stage=stage), stage) == plain
+    asked = (f"stages.{stage}.policy.hidden={list(plain)}",)
+    assert layers(TrainArgs(**args, set=asked), stage) == plain
+
+
+def test_a_resumed_stage_keeps_its_own_layers(tmp_path: Path) -> None:
+    save_policy(tmp_path / "student" / "last", policy(24, 16), Needs(), {})
+    save_policy(tmp_path / "start", policy(8, 6), Needs(), {})
+    args = {"out": tmp_path, "stage": "student", "start": tmp_path / "start"}
+    assert layers(TrainArgs(**args, resume=True), "student") == (24, 16)
+    assert layers(TrainArgs(**args), "student") == (8, 6)
+
+
+@pytest.mark.parametrize(
+    ("stage", "name", "estimates"),
+    [
+        ("teacher", "tracker", None),
+        ("student", "questsim", None),
+        ("student", "questsim-headset", None),
+        ("student", "questsim-now", None),
+        ("finetune", "questsim", None),
+        ("student", "tracker", "library.npz"),
+        ("finetune", "estimate-tracker", "library.npz"),
+    ],
+)
+def test_every_shipped_policy_can_be_trained_further_with_the_plain_command(
+    tmp_path: Path, stage: str, name: str, estimates: str | None
+) -> None:
+    args = TrainArgs(out=tmp_path, stage=stage, start=Path(name), estimates=estimates)
+    shipped = load_agent(name)
+    preset = with_layers_of_start(preset_of("cpu", estimates is not None), args, [stage])
+    spec = preset.stages[stage].policy
+    sensors, frames = shipped.needs.sensors, shipped.needs.future_frames
+    config = EnvConfig(sensors=sensors, future_frames=frames, privileged=True)
+    new = new_policy(spec, Layout.of(observation_layout(config)))
+    copy_actor(shipped.policy, new, name)
+    assert new.spec.hidden == shipped.policy.spec.hidden

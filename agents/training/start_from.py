@@ -2,21 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from agents.policy.balance import OUTPUTS, Balance
-from agents.policy.checkpoint import CRITIC, SAME_PRESET, has_critic, load_critic
+from agents.policy.checkpoint import (
+    CARD_FILE,
+    CRITIC,
+    SAME_PRESET,
+    find_policy,
+    find_teacher,
+    has_critic,
+    load_critic,
+    load_policy,
+)
 from agents.policy.networks import TorqueHead, TorquePolicy
-from agents.training.presets import PPOConfig
+from agents.training.options import TrainArgs
+from agents.training.presets import PPOConfig, Preset
 from questsim.errors import InputError
 
 _HEAD = "head."
 _GAINS = ("log_kp", "log_kd", "log_limit")
 """Gains of ``Balance``, relative to its least values."""
+
+
+def with_layers_of_start(preset: Preset, args: TrainArgs, names: Sequence[str]) -> Preset:
+    """The preset, with the hidden layers of the policies that its stages start from.
+
+    ``--set stages.STAGE.policy.hidden=...`` gives a stage other layers; wider ones are filled up.
+
+    Args:
+        preset: with the values of ``--set``.
+        args: options of the training.
+        names: of the stages to train.
+
+    Raises:
+        InputError: there is no such policy, or its files are damaged.
+    """
+    stages = dict(preset.stages)
+    for name in names:
+        folder = _start_of(name, args)
+        chosen = f"stages.{name}.policy.hidden="
+        if folder is None or any(text.startswith(chosen) for text in args.set):
+            continue
+        layers = load_policy(folder).policy.spec.hidden
+        stages[name] = replace(stages[name], policy=replace(stages[name].policy, hidden=layers))
+    return replace(preset, stages=stages)
+
+
+def _start_of(name: str, args: TrainArgs) -> Path | None:
+    """The checkpoint from which a stage begins, or which it resumes; None for a new policy."""
+    last = args.out / name / "last"
+    if args.resume and (last / CARD_FILE).exists():
+        return last
+    if name == "teacher":
+        return None if args.start is None else find_teacher(args.start)
+    if name == "finetune":
+        student = args.start or args.out / "student"
+        return find_policy(student) if args.start or student.is_dir() else None
+    if name == "student" and args.stage == "student" and args.start is not None:
+        return find_policy(args.start)
+    return None
 
 
 def copy_actor(source: TorquePolicy, target: TorquePolicy, where: Path | str) -> None:
