@@ -472,17 +472,19 @@ def test_rows_of_fewer_clips_can_be_chosen(tmp_path):
     save_library(motions, [MOTION, replace(MOTION, name="other")], [])
     args = CompareArgs(
         agents=("ik", "ik+physics"), motions=str(motions), out=tmp_path / "scores", threads=1,
-        fewer_clips=1, fewer_rows=("noise",), noise=("white",), starts=("user",),
+        fewer_clips=1, fewer_rows=("noise", "starts"), noise=("white",),
+        starts=("user", "standing"),
     )  # fmt: skip
     assert compare(args) == 0
     found = json.loads((args.out / "comparison.json").read_text())
     assert {(row["agent"], row["scenario"]): row["clips"] for row in found["rows"][1:]} == {
         ("ik", "6"): 2, ("ik", "6, noise: white"): 1,
         ("ik+physics", "6, no physics"): 2, ("ik+physics", "6, from the user's state"): 2,
+        ("ik+physics", "6, from standing"): 1,
         ("ik+physics", "6, noise: white, no physics"): 1,
         ("ik+physics", "6, noise: white, from the user's state"): 1,
     }  # fmt: skip
-    assert found["context"]["fewer_rows"] == ["noise"]
+    assert found["context"]["fewer_rows"] == ["noise", "starts"]
 
 
 def test_rows_of_fewer_clips_need_their_number(tmp_path):

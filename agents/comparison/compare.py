@@ -195,7 +195,11 @@ def all_plans(planned: Mapping[str, Planned], args: CompareArgs) -> list[Plan]:
         for scenario in each.scenarios:
             if scenario.online and not args.windows:
                 continue
-            plans.append(Plan(agent, scenario, None, starts, kept))
+            if starts[1:] and "starts" in args.fewer_rows:
+                plans.append(Plan(agent, scenario, None, starts[:1], kept))
+                plans.append(Plan(agent, scenario, None, starts[1:], kept, further=True))
+            else:
+                plans.append(Plan(agent, scenario, None, starts, kept))
             if scenario.plain:
                 plans += [Plan(agent, scenario, noise, starts[:1], kept) for noise in args.noise]
     return plans

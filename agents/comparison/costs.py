@@ -117,7 +117,7 @@ def plan_costs(
         retargeting = ms("retargeting", lambda: retargeted_ms(motions)) or 0.0
         # A frame of the avatar lasts 1/36 s, one of the system 1/60 s.
         whole = replace(whole, ms=alone.ms + (tracker + retargeting) * FPS / SENSOR_FPS)
-    return [alone, *[whole] * len(plan.starts)]
+    return [*([] if plan.further else [alone]), *[whole] * len(plan.starts)]
 
 
 def policy_ms(agent: str | Resolved, motions: Sequence[Motion]) -> float:

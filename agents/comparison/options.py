@@ -14,7 +14,7 @@ from agents.resolve import ANY_AGENT
 Start = Literal["estimate", "user", "standing"]
 """States in which avatars with physics begin."""
 
-Slow = Literal["avatars", "noise", "options"]
+Slow = Literal["avatars", "starts", "noise", "options"]
 """Rows that take more time than kinematic systems that stream exact signals."""
 
 
@@ -49,9 +49,9 @@ class CompareArgs:
     fewer_clips: int | None = None
     """Use only this many of the clips, of all kinds, in the rows of --fewer-rows."""
     fewer_rows: tuple[Slow, ...] = ("avatars", "noise", "options")
-    """With --fewer-clips: avatars with physics, noisy devices, options of a system (also windows of
-    40 frames and faulty trackers). All other rows are kinematic systems that stream exact signals,
-    which take the least time."""
+    """With --fewer-clips: avatars with physics, or only their --starts after the first, noisy
+    devices, options of a system (also windows of 40 frames and faulty trackers). All other rows are
+    kinematic systems that stream exact signals, which take the least time."""
     windows: bool = False
     """Also estimate each frame from its last 40 frames alone (LGSIK-Poser's online protocol)."""
     finished: bool = False

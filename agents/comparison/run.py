@@ -59,6 +59,7 @@ class Plan:
         noise: fault of the devices.
         starts: of the avatar; empty for a kinematic system without physics.
         kept: whether a plan with physics needs the estimates after this one.
+        further: whether another plan has the first start, and with it the row without physics.
     """
 
     agent: Resolved | None
@@ -66,6 +67,7 @@ class Plan:
     noise: Noise | None = None
     starts: tuple[Start, ...] = ()
     kept: bool = False
+    further: bool = False
 
     @property
     def name(self) -> str:
@@ -82,6 +84,7 @@ class Plan:
         """Why it takes more time than a kinematic system that streams exact signals."""
         reasons: dict[Slow, bool] = {
             "avatars": bool(self.starts),
+            "starts": self.further,
             "noise": self.noise is not None,
             "options": not self.scenario.plain,
         }
@@ -89,12 +92,12 @@ class Plan:
 
     @property
     def rows(self) -> list[str]:
-        """Scenarios of the rows; with physics the one without comes first."""
+        """Scenarios of the rows; of a system with physics, the one without comes first."""
         name = self.scenario.name
         if not self.starts:
             return [row_name(name, self.noise)]
         found = [row_name(name, self.noise, start) for start in self.starts]
-        if self.system is not None:
+        if self.system is not None and not self.further:
             found.insert(0, row_name(name, self.noise) + ", no physics")
         return found
 
@@ -267,11 +270,14 @@ def _behind(
     shown = list(mapper(_shown, list(zip(poses, motions, strict=True))))
     truths = list(mapper(to_clip, motions))
     ends, rows = plan.scenario.ends, iter(plan.rows)
-    without = [
-        sums_of(avatar_samples(each.clip, truth, ends), FPS)
-        for each, truth in zip(shown, truths, strict=True)
-    ]
-    yield next(rows), without
+    if not plan.further:
+        yield (
+            next(rows),
+            [
+                sums_of(avatar_samples(each.clip, truth, ends), FPS)
+                for each, truth in zip(shown, truths, strict=True)
+            ],
+        )
     for row, start in zip(rows, plan.starts, strict=True):
         pairs = zip(follow_shown(shown, start, threads), truths, strict=True)
         scored = [
