@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -111,6 +112,9 @@ def test_each_condition_has_its_column_and_the_usual_tables_have_none_of_them():
     assert course([exact, white]).splitlines()[2:] == [
         "| a | 6 | 0.00 | 1.00 | 2.00 | 3.00 | 5.00 | 6.00 | 10.00 | 20.00 | 40.00 |"
     ]
+    # Exact signals on more clips: those of the same clips are compared.
+    more = replace(exact, clips=2, fewer={"mpjpe_cm": 1.5})
+    assert "| a | 6 | 1.50 | 2.00 | - | - | - | - |" in noise([more, white]).splitlines()
     own = row("HMD", 3.0, success_percent=90.0)
     standing = row("HMD, from standing", 4.0, success_percent=80.0)
     assert starts([own, standing]).splitlines()[2:] == [

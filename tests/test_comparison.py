@@ -345,6 +345,9 @@ def test_the_main_tables_have_intervals_where_there_are_more_than_ten_clips():
     rng = np.random.default_rng(1)
     clips = [sums_of({"pos_cm": rng.normal(5.0, 1.0, 40)}, 60.0) for _ in range(11)]
     row, few = row_of("a", "6", clips, Costs()), row_of("b", "6", clips[:10], Costs())
+    assert row.fewer == {} and row_of("a", "6", clips, Costs(), None, clips[:10]).fewer == {
+        "pos_cm": pytest.approx(few.pooled["pos_cm"])
+    }
     lines = table([row, few], ["pos_cm"], ends=True).splitlines()
     low, high = row.low["pos_cm"], row.high["pos_cm"]
     assert low < row.pooled["pos_cm"] < high  # type: ignore[operator]
@@ -464,6 +467,7 @@ def test_fewer_clips_are_for_all_rows_but_streams_of_exact_signals(tmp_path):
     assert [(row["scenario"], row["clips"]) for row in rows[1:]] == [
         ("6", 2), ("6, noise: white", 1),
     ]  # fmt: skip
+    assert [bool(row["fewer"]) for row in rows] == [True, True, False]
     assert "| ik | 6 | 2 |" in (out / "comparison.md").read_text()
 
 

@@ -239,6 +239,7 @@ def _scored(
     if not args.finished:
         _compute(work, args, record)
     scored, measured = [], {} if args.times else None
+    fewer = min((each.names for each in work), key=len)
     for each in work:
         plan, names = each.plan, each.names
         there = [not record.missing([plan.key(row)], names) for row in plan.rows]
@@ -248,7 +249,8 @@ def _scored(
         for row, cost, complete in zip(plan.rows, costs, there, strict=True):
             if complete:
                 found = record.of(plan.key(row), names)
-                scored.append((row_of(plan.name, row, found, cost, names), found))
+                same = record.of(plan.key(row), fewer) if len(fewer) < len(names) else ()
+                scored.append((row_of(plan.name, row, found, cost, names, same), found))
     return scored
 
 

@@ -54,6 +54,7 @@ class Row:
         worst, worst_cm: the clip with the greatest mean joint error (MPJPE), and that error.
         low, high: 95 % bootstrap interval of ``pooled`` over clips; none for fewer than 11 clips.
         course_cm: mean MPJPE of each tenth of a second since the start, up to five seconds.
+        fewer: ``pooled`` over the clips that other rows are limited to; empty if it has no more.
     """
 
     agent: str
@@ -71,6 +72,7 @@ class Row:
     worst: str = ""
     worst_cm: float | None = None
     course_cm: list[float] = field(default_factory=list)
+    fewer: dict[str, float | None] = field(default_factory=dict)
 
     def figures(self, weighting: str) -> dict[str, float | None]:
         """The figures under a weighting in ``WEIGHTINGS``."""
@@ -83,6 +85,7 @@ def row_of(
     scored: Sequence[Summary],
     costs: Costs,
     clips: Sequence[str] | None = None,
+    fewer: Sequence[Summary] = (),
 ) -> Row:
     """A row with the means of the clips' sums.
 
@@ -91,12 +94,14 @@ def row_of(
         scored: one per clip; a mean uses only clips that have its figure.
         costs: of a frame.
         clips: names of the clips, to name the worst.
+        fewer: the summaries of the clips that other rows are limited to, if it has more.
     """
     errors = [summary.mean(CURVE_OF) or 0.0 for summary in scored]
     worst = max(zip(errors, clips or [""], strict=False), default=(0.0, ""))
     row = Row(
         agent, scenario, costs.parameters, {}, {}, costs.ms, costs.mmac, costs.stream_kib,
         clips=len(scored), worst=worst[1], worst_cm=worst[0], course_cm=_course(scored),
+        fewer={name: float(total / count) for name, (count, total, _) in _sums(fewer).items()},
     )  # fmt: skip
     for name in dict.fromkeys(name for summary in scored for name in summary.figures):
         sums = np.array([s.figures[name] for s in scored if name in s.figures])
@@ -108,6 +113,15 @@ def row_of(
         if ends is not None:
             row.low[name], row.high[name] = ends
     return row
+
+
+def _sums(scored: Sequence[Summary]) -> dict[str, np.ndarray]:
+    """Count, sum and sum of squares of each figure over all clips."""
+    found: dict[str, np.ndarray] = {}
+    for summary in scored:
+        for name, sums in summary.figures.items():
+            found[name] = found.get(name, np.zeros(3)) + sums
+    return found
 
 
 def _course(scored: Sequence[Summary]) -> list[float]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -121,7 +122,7 @@ def gains(rows: Sequence[Row]) -> str:
 
 
 def noise(rows: Sequence[Row]) -> str:
-    """Each figure of ``NOISE_NAMES`` by kind of device error."""
+    """Each figure of ``NOISE_NAMES`` by kind of device error, all of the same clips if known."""
     there = {(row.agent, row.scenario): row for row in rows}
     split = [(row.agent, *row.scenario.partition(", noise: ")) for row in rows]
     tried = {(agent, scenario) for agent, scenario, found, _ in split if found}
@@ -130,7 +131,10 @@ def noise(rows: Sequence[Row]) -> str:
     for name in NOISE_NAMES:
         lines = _table(["agent", "scenario", "exact", *NOISES])
         for row in chosen:
-            same = [row, *(there.get((row.agent, row_name(row.scenario, n))) for n in NOISES)]
+            noisy = [there.get((row.agent, row_name(row.scenario, n))) for n in NOISES]
+            fewer = any(each is not None and each.clips < row.clips for each in noisy)
+            exact = replace(row, pooled=row.fewer) if fewer and row.fewer else row
+            same = [exact, *noisy]
             cells = [_value(each, name) for each in same]
             if any(cell != "-" for cell in cells):
                 lines.append(_line([row.agent, row.scenario, *cells]))
