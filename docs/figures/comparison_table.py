@@ -131,10 +131,8 @@ def noise(rows: Sequence[Row]) -> str:
     for name in NOISE_NAMES:
         lines = _table(["agent", "scenario", "exact", *NOISES])
         for row in chosen:
-            noisy = [there.get((row.agent, row_name(row.scenario, n))) for n in NOISES]
-            fewer = any(each is not None and each.clips < row.clips for each in noisy)
-            exact = replace(row, pooled=row.fewer) if fewer and row.fewer else row
-            same = [exact, *noisy]
+            noisy = (there.get((row.agent, row_name(row.scenario, n))) for n in NOISES)
+            same = _alike([row, *noisy])
             cells = [_value(each, name) for each in same]
             if any(cell != "-" for cell in cells):
                 lines.append(_line([row.agent, row.scenario, *cells]))
@@ -143,18 +141,30 @@ def noise(rows: Sequence[Row]) -> str:
 
 
 def starts(rows: Sequence[Row]) -> str:
-    """Success and joint error of each start of the avatar."""
+    """Success and joint error of each start of the avatar, all of the same clips if known."""
     kinds: tuple[Start, ...] = get_args(Start)
     there = {(row.agent, row.scenario): row for row in rows}
     names = ("success_percent", "mpjpe_cm")
     head = [f"{LABELS[name]}, {kind}" for name in names for kind in kinds]
     lines = _table(["agent", "scenario", "clips", *head])
     for row in usual(rows):
-        same = [there.get((row.agent, row_name(row.scenario, None, kind))) for kind in kinds]
+        same = _alike([there.get((row.agent, row_name(row.scenario, None, k))) for k in kinds])
         if sum(each is not None for each in same) > 1 and row.pooled.get("success_percent"):
             cells = [_value(each, name) for name in names for each in same]
-            lines.append(_line([row.agent, row.scenario, str(row.clips), *cells]))
+            clips = min(each.clips for each in same if each is not None)
+            lines.append(_line([row.agent, row.scenario, str(clips), *cells]))
     return "\n".join(lines)
+
+
+def _alike(rows: Sequence[Row | None]) -> list[Row | None]:
+    """Rows of one line: those of more clips get their means over the clips of the others."""
+    least = min(row.clips for row in rows if row is not None)
+
+    def limited(row: Row) -> Row:
+        more = row.clips > least and row.fewer
+        return replace(row, pooled=row.fewer, clips=least) if more else row
+
+    return [None if row is None else limited(row) for row in rows]
 
 
 def course(rows: Sequence[Row]) -> str:
