@@ -18,9 +18,11 @@ from agents.training import run_stage, train_policy
 from agents.training.dagger import Dagger
 from agents.training.options import TrainArgs
 from agents.training.ppo import AdaptivePPO
+from agents.training.start_estimates import start_estimates
 from agents.training.train_policy import train
 from agents.training.training_clips import estimate_pairs
 from envs import BatchSim, EnvConfig, QuestVecEnv, Terrain
+from envs.starts import Starts
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
 from questsim.motion.kinematics import clip_from_qpos
@@ -141,6 +143,25 @@ def test_estimates_of_one_system_with_other_devices_are_all_observed(library, tm
     assert set(pairs) == users | twice | {f"{name} 2" for name in twice}
     for name, (truth, _) in pairs.items():
         assert truth.name == name or name in users
+
+
+def test_episodes_begin_in_the_estimate_that_is_observed(library, tmp_path) -> None:
+    args = tiny(
+        tmp_path / "run", stage="student", estimates=str(library), starts=Starts(estimate=1.0)
+    )
+    pairs = estimate_pairs(args, CLIPS)
+    begin_at = start_estimates(args, CLIPS, pairs)
+    assert pairs is not None and begin_at is not None
+    assert set(begin_at) == {clip.name for clip in SHOWN}
+    name = SHOWN[0].name
+    truth, seen = pairs[name]
+    config = replace(PRIVILEGED, starts=args.starts)
+    sim = BatchSim([truth], config, shown=[seen], begin_at={name: begin_at[name]})
+    sim.reset(np.array([0]), 0, 5)
+    np.testing.assert_allclose(sim.qpos[0, 7:], seen.qpos[5, 7:], atol=1e-6)
+    assert np.abs(seen.qpos[5, 7:] - truth.qpos[5, 7:]).max() > 1e-3
+    with pytest.raises(InputError, match="does not go with --estimates"):
+        start_estimates(replace(args, start_estimates=str(library)), CLIPS, pairs)
 
 
 def test_pairs_end_with_the_shorter_of_motion_and_estimate(tmp_path) -> None:

@@ -97,7 +97,7 @@ class TrainArgs:
     """Initial state of episodes; by default the motion's own state."""
     start_estimates: str | None = None
     """Libraries that questsim estimate made of --motions, separated by commas, in whose states the
-    share --starts.estimate of the episodes begins."""
+    share --starts.estimate of the episodes begins; with --estimates it is the observed one."""
     hold_out: str = ""
     """Styles, separated by commas, to hold out from training and evaluate on."""
     validation: str | None = None

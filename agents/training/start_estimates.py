@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -32,14 +32,29 @@ def load_estimates(libraries: str, seed: int) -> Iterator[Clip]:
         yield from load_motions(library, seed=seed)
 
 
-def start_estimates(args: TrainArgs, clips: Sequence[Clip]) -> dict[str, Clip] | None:
+def start_estimates(
+    args: TrainArgs, clips: Sequence[Clip], shown: Mapping[str, tuple[Clip, Clip]] | None = None
+) -> dict[str, Clip] | None:
     """The estimates of ``--start-estimates`` by the names of their clips; None without any.
 
-    Of several estimates of one clip, the last is used.
+    Of several estimates of one clip, the last is used. A tracker that observes ``--estimates``
+    begins in the estimate that it observes.
+
+    Args:
+        args: of the training.
+        clips: the motions.
+        shown: with ``--estimates``, true and observed clip by name.
 
     Raises:
         InputError: only one of the two options is given, or an estimate is of other motions.
     """
+    if shown is not None:
+        if args.start_estimates is not None:
+            what = "does not go with --estimates: episodes begin in the estimate that is observed"
+            raise InputError(what, "--start-estimates", "leave it out")
+        if args.starts.estimate == 0.0:
+            return None
+        return {name: seen for name, (truth, seen) in shown.items() if seen is not truth}
     if args.starts.estimate > 0.0 and args.start_estimates is None:
         raise InputError("needs estimates", "--starts.estimate", "add --start-estimates LIBRARY")
     if args.start_estimates is None:

@@ -89,7 +89,8 @@ def train_here(args: TrainArgs) -> int:
     preset = with_layers_of_start(preset, args, names)
     clips = load_clips(args)
     check_share(args.vary, args.redraw, clips)
-    shown, begin_at = estimate_pairs(args, clips), start_estimates(args, clips)
+    shown = estimate_pairs(args, clips)
+    begin_at = start_estimates(args, clips, shown)
     if shown is None:
         data = data_record(args.motions, clips)
     else:
