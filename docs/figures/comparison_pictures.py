@@ -1,11 +1,12 @@
-"""The pictures and the film of a comparison: ``python -m docs.figures.comparison_pictures SCORES``.
+"""Pictures, tables and film of a comparison: ``python -m docs.figures.comparison_pictures SCORES``.
 
     python -m docs.figures.comparison_pictures SCORES [--film]
 
 Draws the figures of a folder's complete rows again, without computing any, and puts them into
 ``docs/images``. Those that need means alone (accuracy, plausibility) are drawn from the kept report
-beside the shipped weights, which has the rows of every agent. ``--film`` also makes the film, its
-sheet and the worst clips with the shipped agents; the film stays in SCORES.
+beside the shipped weights, which has the rows of every agent; its tables are put into the pages, as
+by ``comparison_table --write``. ``--film`` also makes the film, its sheet and the worst clips with
+the shipped agents; the film stays in SCORES.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from agents.comparison.record import FILE as RECORD_FILE
 from agents.comparison.worst import FILE as WORST
 from agents.kinematic.device_faults import Noise
 from agents.shipping.cards import SOURCE
-from docs.figures.comparison_table import rows_of
+from docs.figures.comparison_table import rows_of, write_pages
 from questsim.cli import guarded
 from questsim.errors import InputError
 from questsim.files import whole_file
@@ -44,7 +45,7 @@ FILMED = (
 
 @dataclass(frozen=True)
 class PicturesArgs:
-    """Draw the figures of a comparison into docs/images."""
+    """Draw the figures of a comparison into docs/images, and write its tables into the pages."""
 
     scores: Positional[Path]
     """Folder of the comparison (evaluate.py --compare --out)."""
@@ -77,7 +78,7 @@ def kept_options(scores: Path) -> dict[str, Any]:
 
 
 def draw(args: PicturesArgs) -> int:
-    """Draw the figures and copy them; returns the exit code.
+    """Draw the figures, copy them, write the tables; returns the exit code.
 
     Raises:
         InputError: see ``kept_options`` and ``compare``.
@@ -101,6 +102,7 @@ def draw(args: PicturesArgs) -> int:
     for name, plot in FIGURES.items():
         with whole_file(IMAGES / f"comparison-{name}") as path:
             plot(first_starts(kept), path)
+    write_pages(kept)
     made = [*DRAWN, PREDICTOR, *((SHEET, WORST) if args.film else ())]
     for name in made:
         if (args.scores / name).is_file():

@@ -60,6 +60,11 @@ def main() -> None:
     if "--write" not in sys.argv:
         print(full(rows))
         return
+    write_pages(rows)
+
+
+def write_pages(rows: Sequence[Row]) -> None:
+    """Put the tables of the rows into the pages."""
     for page in PAGES:
         text = written(page, rows)
         with whole_file(page) as path:
