@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 from agents.agent import Needs
-from agents.loading import load_agent
-from agents.policy.checkpoint import save_policy
+from agents.policy.checkpoint import find_policy, load_policy, save_policy
 from agents.policy.policy_agent import new_policy
 from agents.policy.spec import SPARSE_BLOCKS, Layout, PolicySpec
 from agents.training.options import TrainArgs
@@ -63,7 +63,7 @@ def layers(args: TrainArgs, stage: str) -> tuple[int, ...]:
 def test_a_stage_has_the_layers_of_its_start_unless_others_are_set(tmp_path: Path, stage) -> None:
     start, out = tmp_path / "start", tmp_path / "run"
     save_policy(start, policy(24, 16), Needs(), {})
-    args = {"out": out, "start": start, "stage": stage}
+    args: dict[str, Any] = {"out": out, "start": start, "stage": stage}
     plain = preset_of("cpu").stages[stage].policy.hidden
     assert layers(TrainArgs(**args), stage) == (24, 16)
     assert layers(TrainArgs(out=out, stage=stage), stage) == plain
@@ -74,7 +74,7 @@ def test_a_stage_has_the_layers_of_its_start_unless_others_are_set(tmp_path: Pat
 def test_a_resumed_stage_keeps_its_own_layers(tmp_path: Path) -> None:
     save_policy(tmp_path / "student" / "last", policy(24, 16), Needs(), {})
     save_policy(tmp_path / "start", policy(8, 6), Needs(), {})
-    args = {"out": tmp_path, "stage": "student", "start": tmp_path / "start"}
+    args: dict[str, Any] = {"out": tmp_path, "stage": "student", "start": tmp_path / "start"}
     assert layers(TrainArgs(**args, resume=True), "student") == (24, 16)
     assert layers(TrainArgs(**args), "student") == (8, 6)
 
@@ -92,10 +92,10 @@ def test_a_resumed_stage_keeps_its_own_layers(tmp_path: Path) -> None:
     ],
 )
 def test_every_shipped_policy_can_be_trained_further_with_the_plain_command(
-    tmp_path: Path, stage: str, name: str, estimates: str | None
+    tmp_path: Path, stage: Any, name: str, estimates: str | None
 ) -> None:
     args = TrainArgs(out=tmp_path, stage=stage, start=Path(name), estimates=estimates)
-    shipped = load_agent(name)
+    shipped = load_policy(find_policy(name))
     preset = with_layers_of_start(preset_of("cpu", estimates is not None), args, [stage])
     spec = preset.stages[stage].policy
     sensors, frames = shipped.needs.sensors, shipped.needs.future_frames
