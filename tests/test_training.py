@@ -280,6 +280,15 @@ def test_a_teacher_begins_with_another_teachers_weights_and_says_so(clips, tmp_p
         train(replace(begun, out=tmp_path / "e", set=(*begun.set, without)))
 
 
+def test_a_training_ends_with_the_command_that_scores_its_validation_motions(tmp_path, monkeypatch):
+    monkeypatch.setattr(training, "find_policy", lambda out: out / "best")
+    plain = training._outcome(TrainArgs(tmp_path, validation="mine.toml:validation"))
+    assert "--motions mine.toml:validation --out" in plain
+    shown = TrainArgs(tmp_path, validation="mine.toml:validation", estimates="seen.npz")
+    assert "--motions seen.npz --out" in training._outcome(shown)
+    assert "--motions synthetic --out" in training._outcome(TrainArgs(tmp_path))
+
+
 def test_a_full_body_student_of_teachers_becomes_a_teacher_with_a_new_critic(
     clips, finished, tmp_path
 ):

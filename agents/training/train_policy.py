@@ -171,10 +171,11 @@ def _cluster(args: TrainArgs) -> AbstractContextManager[None]:
 def _outcome(args: TrainArgs) -> str:
     """Where the policy is, if the training saved one, and how to score and watch it.
 
-    A tracker of estimates is scored on the estimates, which are the motions that it observes. The
-    page shows only the avatar: a policy of another body is filmed instead.
+    A tracker of estimates is scored on the estimates, which are the motions that it observes, other
+    policies on their validation motions. The page shows only the avatar: a policy of another body
+    is filmed instead.
     """
-    out, motions = args.out, "synthetic" if args.estimates is None else args.estimates
+    out, motions = args.out, args.estimates or args.validation or "synthetic"
     try:
         score = f"questsim evaluate --agent {out} --motions {motions} --out {out}/scores"
         trained = f"trained: {find_policy(out)}\n"
