@@ -60,9 +60,11 @@ FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
         ("wider, now, of two", "questsim-now, one student of two"),
     ),
     "training-estimates.png": (
-        ("shown estimates", "shown estimates of HMD-Poser and LGSIK-Poser"),
+        ("shown estimates", "before: shown estimates of HMD-Poser and LGSIK-Poser"),
         ("shown estimates, again", "of ik and DragPoser, and recordings, too"),
-        ("shown estimates, by reward", "by reward for what the user did"),
+        ("shown estimates, by reward", "by reward for the true motion"),
+        ("shown estimates, D", "shipped: D, shown estimates of more motions"),
+        ("shown estimates, D, begun in them", "begun in the estimates, too"),
     ),
 }
 """The curves of each picture; a pair is a curve and what it is called there."""
