@@ -5,9 +5,10 @@ import re
 import subprocess
 import sys
 import tomllib
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from itertools import chain
 from pathlib import Path
+from typing import get_type_hints
 
 import pytest
 import yaml
@@ -145,6 +146,8 @@ def test_commands_in_the_pages_have_the_options_that_are_given():
             mode, words = args.chosen(words[2:])
             args = mode.args
         known = {f.name for f in fields(args)}
+        groups = {name: kind for name, kind in get_type_hints(args).items() if is_dataclass(kind)}
+        known |= {f"{name}.{f.name}" for name, kind in groups.items() for f in fields(kind)}
         given = {w[2:].split("=")[0].replace("-", "_") for w in words if w.startswith("--")}
         given = {g.removeprefix("no_") if g not in known else g for g in given}
         wrong += [f"{line}: {option}" for option in given - known - {"help", "set"}]
