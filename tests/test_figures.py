@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from docs.figures.system_curves import add, read
+from docs.figures.system_curves import add
+from docs.figures.training_curves import read
 
 HEADER = "time/total_timesteps,evaluation/error_cm,training/loss\n"
 

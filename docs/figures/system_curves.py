@@ -15,19 +15,11 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 
+from docs.figures.training_curves import read, write
+
 HERE = Path(__file__).parent
 TABLE, IMAGE = HERE / "system_curves.csv", HERE.parent / "images" / "training-systems.png"
 COLUMNS: tuple[str, ...] = ("curve", "steps", "error_cm")
-
-
-def read(table: Path = TABLE) -> dict[str, list[dict[str, str]]]:
-    """The rows of the table by curve."""
-    curves: dict[str, list[dict[str, str]]] = {}
-    if table.exists():
-        with table.open(encoding="utf-8", newline="") as file:
-            for row in csv.DictReader(file):
-                curves.setdefault(row["curve"], []).append(row)
-    return curves
 
 
 def evaluations(stage: Path) -> list[tuple[int, float]]:
@@ -48,10 +40,7 @@ def add(curve: str, stage: Path, table: Path = TABLE) -> None:
         {"curve": curve, "steps": str(steps), "error_cm": f"{error:.3f}"}
         for steps, error in evaluations(stage)
     ]
-    with table.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(row for rows in curves.values() for row in rows)
+    write(curves, COLUMNS, table)
 
 
 def draw(curves: dict[str, list[dict[str, str]]]) -> None:
@@ -72,4 +61,4 @@ def draw(curves: dict[str, list[dict[str, str]]]) -> None:
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--add"]:
         add(sys.argv[2], Path(sys.argv[3]))
-    draw(read())
+    draw(read(TABLE))

@@ -70,14 +70,26 @@ FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
 """The curves of each picture; a pair is a curve and what it is called there."""
 
 
-def read() -> dict[str, list[dict[str, str]]]:
-    """The rows of the table by curve."""
+def read(table: Path = TABLE) -> dict[str, list[dict[str, str]]]:
+    """The rows of a table by curve; none if there is no such file."""
     curves: dict[str, list[dict[str, str]]] = {}
-    if TABLE.exists():
-        with TABLE.open(encoding="utf-8", newline="") as file:
+    if table.exists():
+        with table.open(encoding="utf-8", newline="") as file:
             for row in csv.DictReader(file):
                 curves.setdefault(row["curve"], []).append(row)
     return curves
+
+
+def write(
+    curves: dict[str, list[dict[str, str]]],
+    columns: tuple[str, ...] = COLUMNS,
+    table: Path = TABLE,
+) -> None:
+    """Write the rows of all curves, with these columns, into a table."""
+    with table.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(row for rows in curves.values() for row in rows)
 
 
 def add(curve: str, stage: Path, before: int = 0) -> None:
@@ -95,10 +107,7 @@ def add(curve: str, stage: Path, before: int = 0) -> None:
     names = COLUMNS[1:]
     history = [row | {"steps": row["steps"] + before} for row in history]
     curves[curve] = [{"curve": curve} | {n: f"{row[n]:g}" for n in names} for row in history]
-    with TABLE.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(row for rows in curves.values() for row in rows)
+    write(curves)
 
 
 def draw(curves: dict[str, list[dict[str, str]]]) -> None:
