@@ -50,13 +50,8 @@ class Ablated(Protocol):
         """Its variants without one part each."""
         ...
 
-    def train(self, shared: dict[str, Any], variant: Variant) -> int:
-        """Train a variant; returns the exit code.
-
-        Args:
-            shared: options that training commands of all families have.
-            variant: adds its own.
-        """
+    def train(self, options: dict[str, Any]) -> int:
+        """Train a variant with these options of the training command; returns the exit code."""
         ...
 
     def score(
@@ -102,9 +97,9 @@ class SystemAblated:
         """See ``Ablated``."""
         return self._entry.variants
 
-    def train(self, shared: dict[str, Any], variant: Variant) -> int:
+    def train(self, options: dict[str, Any]) -> int:
         """See ``Ablated``."""
-        return train_system(TrainSystemArgs(agent=self._agent, **shared))
+        return train_system(TrainSystemArgs(agent=self._agent, **options))
 
     def score(
         self, folder: Path, variant: Variant, motions: Sequence[Motion], seed: int
@@ -161,9 +156,9 @@ class PolicyAblated:
             Variant("no-scale", without, _without_scale(whole)),
         )
 
-    def train(self, shared: dict[str, Any], variant: Variant) -> int:
+    def train(self, options: dict[str, Any]) -> int:
         """See ``Ablated``."""
-        return train(TrainArgs(**shared, **dict(variant.args)))
+        return train(TrainArgs(**options))
 
     def score(
         self, folder: Path, variant: Variant, motions: Sequence[Motion], seed: int

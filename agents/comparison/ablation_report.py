@@ -158,6 +158,12 @@ def _page(results: Sequence[Result], context: dict[str, Any]) -> str:
         "full system.",
         "",
     ]
+    if context["seeds"] > 1:
+        lines += [
+            "Rows `seed-` are the same training with another seed: a difference no larger than "
+            "theirs shows nothing.",
+            "",
+        ]
     for result in results[1:]:
         how = [f"`--{name.replace('_', '-')} {value}`" for name, value in result.args.items()]
         how += [f"`--set {value}`" for value in result.set]

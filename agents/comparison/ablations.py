@@ -4,7 +4,8 @@
 --minutes 3 --out DIR`` trains the full system and every variant in its registry entry, one after
 the other, with the same seed and the same small budget. It scores all of them on the same motions,
 as ``agents.comparison.compare`` does. Variants that differ only at run time use the full system's
-weights.
+weights. ``--seeds`` trains the full system with further seeds, ``--hold-out`` without a performer's
+styles.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from agents.run_folder import (
     unpack,
     versions,
 )
+from agents.training.hold_out import without_styles
 from agents.training.ray_session import ray_map
 from agents.training.watched import beside_ray
 from questsim.errors import InputError, at_least
@@ -44,7 +46,8 @@ from questsim.motion.motion import Motion
 FULL = "full"
 SCORES = "scores.json"
 """File with a variant's rows in its folder. A variant with this file is done."""
-MAY_DIFFER_ON_RESUME = {"resume", "out", "threads", "variants", "workers", "ray"}
+HELD_OUT = "held-out"
+MAY_DIFFER_ON_RESUME = {"resume", "out", "threads", "variants", "seeds", "workers", "ray"}
 
 
 @beside_ray
@@ -58,6 +61,7 @@ def ablations(args: AblationsArgs) -> int:
 
     out, variants = _checked(args)
     motions = at_sensor_rate(load_recordings(args.test, seed=args.seed), args.max_clips)
+    without_styles(motions, args.hold_out)
     data = motions_record(args.test, motions)
     there = out.exists()
     if args.resume:
@@ -88,6 +92,8 @@ def ablations(args: AblationsArgs) -> int:
         "versions": versions(),
         "threads": args.threads,
         "seed": args.seed,
+        "seeds": args.seeds,
+        "hold_out": args.hold_out,
     }
     write(results, context, out)
     print(table(results, args.agent, "pooled"))
@@ -106,7 +112,8 @@ def _checked(args: AblationsArgs) -> tuple[Path, list[Variant]]:
         raise InputError(f"is {args.minutes:g}, not above 0", "--minutes")
     at_least(1, steps=args.steps, threads=args.threads, max_clips=args.max_clips)
     at_least(0, seed=args.seed)
-    known = {variant.name: variant for variant in family.variants(args.preset)}
+    at_least(1, seeds=args.seeds)
+    known = {v.name: v for v in (*_repeated(args), *family.variants(args.preset))}
     for name in args.variants:
         if name not in known:
             raise InputError(f"there is no {name!r}", "--variants", f"known: {', '.join(known)}")
@@ -119,9 +126,21 @@ def _checked(args: AblationsArgs) -> tuple[Path, list[Variant]]:
     return args.out, variants
 
 
+def _repeated(args: AblationsArgs) -> list[Variant]:
+    """The full system again, with other seeds and without the styles of ``--hold-out``."""
+    seeds = range(args.seed + 1, args.seed + args.seeds)
+    found = [
+        Variant(f"seed-{n}", "the full system, another seed", args=(("seed", n),)) for n in seeds
+    ]
+    if args.hold_out:
+        what = "the full system, trained without some styles"
+        found.append(Variant(HELD_OUT, what, args=(("hold_out", args.hold_out),)))
+    return found
+
+
 def _train(args: AblationsArgs, variant: Variant, folder: Path) -> int:
     print(f"{variant.name}: {variant.what}")
-    shared = {
+    options = {
         "out": folder,
         "motions": args.motions,
         "preset": args.preset,
@@ -131,8 +150,9 @@ def _train(args: AblationsArgs, variant: Variant, folder: Path) -> int:
         "threads": args.threads,
         "seed": args.seed,
         "set": (*args.set, *variant.set),
+        **dict(variant.args),
     }
-    return ablated(args.agent).train(shared, variant)
+    return ablated(args.agent).train(options)
 
 
 def _on_workers(
@@ -187,7 +207,12 @@ def _leave_nothing(out: Path, there: bool) -> None:
 def _score(args: AblationsArgs, variant: Variant, out: Path, motions: Sequence[Motion]) -> None:
     """Reconstruct all motions and write the rows into the variant's folder."""
     weights = out / (FULL if variant.options else variant.name)
-    found = ablated(args.agent).score(weights, variant, motions, args.seed)
+    family = ablated(args.agent)
+    found = family.score(weights, variant, motions, args.seed)
+    if args.hold_out:
+        held = without_styles(motions, args.hold_out)[1]
+        again = family.score(weights, variant, held, args.seed)
+        found += [replace(row, scenario=f"{row.scenario}; {args.hold_out}") for row in again]
     rows = [replace(row, agent=variant.name) for row in found]
     folder = out / variant.name
     folder.mkdir(exist_ok=True)

@@ -100,5 +100,10 @@ class AblationsArgs:
     """Address of a Ray cluster for --workers, by default one of this machine alone."""
     seed: int = 0
     """Seed of all random numbers, the same for all variants."""
+    seeds: int = 1
+    """Train the full system with this many seeds: --seed, --seed + 1 and so on."""
+    hold_out: str = ""
+    """Train the full system also without these styles, separated by commas, and score all variants
+    also on the test motions of these styles alone."""
     set: tuple[str, ...] = ()
     """Change values of the preset for all variants, e.g. stages.network.batch=16."""
