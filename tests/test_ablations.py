@@ -492,6 +492,37 @@ def test_some_variants_can_run_alone_and_the_others_be_added_later(library, tmp_
         ablations(args)
 
 
+def test_other_seeds_and_a_performer_held_out_are_rows_of_their_own(library, tmp_path):
+    longer = to_motion(swaying_clip(frames=60)).resampled(60.0)
+    old, young = replace(MOTION, name="old", style="old"), replace(longer, name="y", style="young")
+    save_library(library, [old, young], [])
+    out = tmp_path / "out"
+    args = arguments(
+        "avatarposer", library, out, seeds=2, hold_out="young", variants=("seed-1", "held-out")
+    )
+    assert ablations(args) == 0
+    report = json.loads((out / "ablations.json").read_text())
+    rows = {(row["variant"], row["scenario"]): row["pooled"] for row in report["rows"]}
+    names = ("full", "seed-1", "held-out")
+    assert list(rows) == [(name, where) for where in ("HMD", "HMD; young") for name in names]
+    everyone = {name: rows[name, "HMD"]["mpjpe_cm"] for name in names}
+    assert len(set(everyone.values())) == 3
+    assert all(rows[name, "HMD; young"]["mpjpe_cm"] != everyone[name] for name in names)
+    card = {name: read_system_card(out / name / "network" / "last") for name in names}
+    assert [card[name]["training"]["seed"] for name in names] == [0, 1, 0]
+    assert [card[name]["training"].get("hold_out") for name in names] == [
+        None,
+        None,
+        "young",
+    ]
+    assert "Rows `seed-` are the same training" in (out / "ablations.md").read_text()
+    # A third seed is added later; the others are not trained again.
+    more = replace(args, resume=True, seeds=3, variants=("seed-2",))
+    assert ablations(more) == 0
+    with pytest.raises(InputError, match="hold_out|--hold-out"):
+        ablations(replace(more, hold_out="old"))
+
+
 def test_ablations_stopped_during_a_training_can_be_continued(library, tmp_path, monkeypatch):
     out = tmp_path / "out"
     monkeypatch.setattr("agents.comparison.ablated.train_system", lambda args: 130)
@@ -517,6 +548,8 @@ def test_ablations_stopped_during_a_training_can_be_continued(library, tmp_path,
         (["--agent", "lgsik", "--out", "OUT", "--steps", "1", "--test", "gone.npz"], "gone.npz"),
         (["--agent", "lgsik", "--out", "OUT", "--steps", "1", "--motions", "gone.npz"], "gone"),
         (["--agent", "lgsik", "--out", "OUT", "--steps", "1", "--resume"], "no run to resume"),
+        (["--agent", "lgsik", "--out", "OUT", "--steps", "1", "--seeds", "0"], "--seeds: is 0"),
+        (["--agent", "lgsik", "--out", "OUT", "--steps", "1", "--hold-out", "x"], "style 'x'"),
     ],
 )
 def test_ablations_that_cannot_run_are_refused_in_one_line_and_leave_no_files(
