@@ -79,6 +79,7 @@ WHOLLY: dict[str, Starts | None] = {
     "still": Starts(still=1.0),
     "standing": Starts(standing=1.0),
     "estimate": Starts(estimate=1.0),
+    "first-estimate": Starts(estimate=1.0),
 }
 """Starts in which all episodes begin alike, by the names of ``evaluate.py --begin``."""
 

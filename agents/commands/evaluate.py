@@ -12,7 +12,7 @@ from agents.comparison.options import CompareArgs
 from agents.evaluation.assisted import AssistUse
 from agents.evaluation.follow import choose_clips
 from agents.evaluation.groups import by_group, check_conditions, format_groups, grouped_clips
-from agents.evaluation.options import ByGroupArgs, EvaluateArgs, ScorecardArgs, WorldsArgs
+from agents.evaluation.options import Begin, ByGroupArgs, EvaluateArgs, ScorecardArgs, WorldsArgs
 from agents.evaluation.report import clips_in_video, evaluation_context, report
 from agents.evaluation.rollout import env_config, roll_out
 from agents.evaluation.scorecard import format_scorecard, scorecard
@@ -77,7 +77,7 @@ def evaluate(args: EvaluateArgs) -> int:
         clips = choose_clips(clips, args.max_clips)
     clips_in_video(args, clips)  # refuses unknown names before the evaluation
     assist = None if args.assist is None else AssistUse(args.assist)
-    begin_at = _estimates(clips) if args.begin == "estimate" else None
+    clips, begin_at = _begun(clips, args.begin)
     with ray_map(args.workers, args.ray, args.threads) as mapper:
         runs = [
             roll_out(
@@ -154,11 +154,22 @@ def _config_of(args: EvaluateArgs, config: EnvConfig) -> EnvConfig:
     return replace(config, starts=WHOLLY[args.begin], unscaled_m=args.unscaled)
 
 
-def _estimates(clips: Sequence[Clip]) -> dict[str, Clip]:
+def _begun(clips: list[Clip], begin: Begin) -> tuple[list[Clip], dict[str, Clip] | None]:
+    """The clips from the moment at which avatars begin, and the estimates in which they do."""
+    if begin == "estimate":
+        return _settled(clips)
+    if begin != "first-estimate":
+        return clips, None
     # Imported here: this loads a kinematic system, which other evaluations do not need.
     from agents.kinematic.first_answers import first_answers
 
-    return first_answers(clips)
+    return clips, first_answers(clips)
+
+
+def _settled(clips: Sequence[Clip]) -> tuple[list[Clip], dict[str, Clip]]:
+    from agents.kinematic.first_answers import settled_answers
+
+    return settled_answers(clips)
 
 
 def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
@@ -232,7 +243,7 @@ def evaluate_scorecard(args: ScorecardArgs) -> int:
     with ray_map(args.workers, args.ray, args.threads) as mapper:
         card = scorecard(
             args.agent, args.motions, args.out, args.max_clips, args.threads, args.seed, args.rows,
-            args.extra, _estimates, mapper=mapper,
+            args.extra, _settled, mapper=mapper,
         )  # fmt: skip
     print(format_scorecard(card))
     return 0

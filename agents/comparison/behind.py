@@ -1,8 +1,8 @@
 """Physics behind a kinematic system, from the data that a live user would have.
 
 The avatar has the body that was measured or that the system estimates, not the user's true bones.
-Retargeting uses no later frame. The avatar starts in the system's own first estimate, in the user's
-true state, or standing.
+Retargeting uses no later frame. The avatar starts in the system's own estimate, after 0.2 s or in
+the first one, in the user's true state, or standing.
 """
 
 from __future__ import annotations
@@ -12,9 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agents.comparison.begun import begun
 from agents.comparison.conditions import Start, starts_of
 from agents.evaluation.rollout import env_config, roll_out
 from agents.kinematic.causal import causal_clip
+from agents.kinematic.first_answers import settled_after
 from agents.kinematic.interface import Poses
 from agents.kinematic.physics_behind import TRACKER, begun_as, on_own_body
 from agents.loading import load_agent
@@ -22,6 +24,7 @@ from questsim.joint_sensors import SENSOR_FPS
 from questsim.metrics import Rollout
 from questsim.motion.checks import stature_of
 from questsim.motion.clip import Clip
+from questsim.motion.kinematics import clip_from_qpos
 from questsim.motion.motion import Motion
 from questsim.motion.retarget import to_clip
 
@@ -72,16 +75,28 @@ def follow_shown(shown: Sequence[Shown], start: Start, threads: int = 1) -> list
     Args:
         shown: the estimates.
         start: see ``conditions.Start``. From the user's state or the first estimate, the shown
-            motion blends from it to the estimates (``begun_as``); standing, it is the estimates.
+            motion blends from it to the estimates (``begun_as``); otherwise it is the estimates.
         threads: physics threads.
+
+    Returns:
+        One rollout per estimate, from the moment at which the avatar begins.
     """
-    tracker, truths = load_agent(TRACKER), [each.truth for each in shown]
-    clips = [each.clip for each in shown]
+    tracker, truths = load_agent(TRACKER), [begun(each.truth, start) for each in shown]
+    clips = [begun(each.clip, start) for each in shown]
     begin_at = None
     if start == "user":
         clips = [begun_as(clip, truth) for clip, truth in zip(clips, truths, strict=True)]
-    if start == "estimate":
+    if start == "first-estimate":
         begin_at = {clip.name: clip for clip in clips}
         clips = [begun_as(clip, clip) for clip in clips]
+    if start == "estimate":
+        begin_at = {each.clip.name: _so_far(each.clip) for each in shown}
     config = replace(env_config(tracker), starts=starts_of(start))
     return roll_out(tracker, truths, config, threads, shown=clips, begin_at=begin_at)
+
+
+def _so_far(clip: Clip) -> Clip:
+    """The state at which the avatar begins; its velocity needs no later frame."""
+    count = settled_after(clip)
+    seen = clip_from_qpos(clip.name, clip.qpos[: count + 1], clip.height_m)
+    return seen.after(count)

@@ -48,7 +48,11 @@ def starts_of(start: Start) -> Starts | None:
     return None if start == "user" else WHOLLY[start]
 
 
-_FROM: dict[Start, str] = {"user": ", from the user's state", "standing": ", from standing"}
+_FROM: dict[Start, str] = {
+    "first-estimate": ", from the first estimate",
+    "user": ", from the user's state",
+    "standing": ", from standing",
+}
 
 
 def row_name(scenario: str, noise: Noise | None, start: Start = "estimate") -> str:

@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from agents.comparison.begun import begun, begun_in_estimates
 from agents.comparison.behind import follow_shown, shown_of
 from agents.comparison.conditions import Start, starts_of
 from agents.comparison.plots import KINDS
 from agents.comparison.run import suiting
 from agents.evaluation.rollout import env_config, roll_out
 from agents.kinematic.estimates import Job, estimated_together
-from agents.kinematic.first_answers import first_answers
 from agents.kinematic.physics_behind import until_lost
 from agents.kinematic.scenario import Scenario
 from agents.kinematic.without_physics import over_users_floor
@@ -136,7 +136,7 @@ def film(
         return False
     parts = [figures_of(agent, motions, threads, start) for agent in agents]
     scenes = [
-        FilmScene([_user(motion), *(of_clip[i] for of_clip in parts)], SIZE)
+        FilmScene([_user(motion, start), *(of_clip[i] for of_clip in parts)], SIZE)
         for i, motion in enumerate(motions)
     ]
     try:
@@ -166,8 +166,8 @@ def to_be_filmed(motions: Sequence[Motion], names: Sequence[str]) -> list[Motion
 # -- motions of the agents ---------------------------------------------------------------------
 
 
-def _user(motion: Motion) -> FilmFigure:
-    return FilmFigure("user", "the motion itself", "", to_clip(motion))
+def _user(motion: Motion, start: Start) -> FilmFigure:
+    return FilmFigure("user", "the motion itself", "", begun(to_clip(motion), start))
 
 
 def figures_of(
@@ -188,8 +188,8 @@ def figures_of(
         loaded = load_agent(agent)
         clips = [to_clip(motion) for motion in motions]
         config = replace(env_config(loaded), starts=starts_of(start))
-        begin_at = first_answers(clips) if start == "estimate" else None
-        rollouts = roll_out(loaded, clips, config, threads, begin_at=begin_at)
+        follow, begin_at = begun_in_estimates(clips, start)
+        rollouts = roll_out(loaded, follow, config, threads, begin_at=begin_at)
         devices = _in_words(SENSOR_SETS[loaded.needs.sensors])
         return [FilmFigure(agent, devices, policy, until_lost(rollout)) for rollout in rollouts]
     scenario = scenario or shown_scenario(suiting(agent))
@@ -197,7 +197,8 @@ def figures_of(
     poses = estimated_together([Job(base, scenario, motion) for motion in motions])
     devices, pairs = _in_words(scenario.devices), list(zip(poses, motions, strict=True))
     if base_of(agent) is None:
-        return [FilmFigure(agent, devices, kinematic, over_users_floor(p, m)) for p, m in pairs]
+        clips = [begun(over_users_floor(p, m), start) for p, m in pairs]
+        return [FilmFigure(agent, devices, kinematic, clip) for clip in clips]
     rollouts = follow_shown([shown_of(p, m) for p, m in pairs], start, threads)
     return [FilmFigure(agent, devices, physics, until_lost(rollout)) for rollout in rollouts]
 

@@ -11,7 +11,7 @@ from typing_extensions import Doc
 from agents.kinematic.options import Noise
 from agents.resolve import ANY_AGENT
 
-Start = Literal["estimate", "user", "standing"]
+Start = Literal["estimate", "first-estimate", "user", "standing"]
 """States in which avatars with physics begin."""
 
 Slow = Literal["avatars", "starts", "noise", "options"]
@@ -33,8 +33,9 @@ class CompareArgs:
     out: Path
     """Folder for tables, figures and the film. The same command continues a stopped comparison."""
     starts: tuple[Start, ...] = ("estimate",)
-    """States in which avatars with physics begin, a row each: the first estimate of the kinematic
-    system (HMD-Poser's for policies), the user's own state, or standing. The film has the first."""
+    """States in which avatars with physics begin, a row each: the kinematic system's estimate
+    (HMD-Poser's for policies) after 0.2 s, when the avatar then begins, its first estimate, the
+    user's own state, or standing. The film has the first of these."""
     noise: tuple[Noise, ...] = ()
     """Rows of every agent with noisy devices, too: white (5 mm, 0.02 rad), mounts (off by up to 3
     cm and 10 degrees), latency (83 ms), dropouts (up to 0.5 s), or all of these."""

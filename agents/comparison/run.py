@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agents.comparison.begun import begun, begun_in_estimates
 from agents.comparison.behind import Shown, follow_shown, shown_of
 from agents.comparison.conditions import Start, row_name, starts_of, with_noise
 from agents.comparison.options import Slow
@@ -17,7 +18,6 @@ from agents.evaluation.mapping import Mapper
 from agents.evaluation.rollout import env_config, roll_out
 from agents.kinematic.device_faults import Noise
 from agents.kinematic.estimates import Job, estimated_together, loaded, scenarios_of
-from agents.kinematic.first_answers import first_answers
 from agents.kinematic.interface import Poses
 from agents.kinematic.physics_behind import avatar_samples, rollout_samples
 from agents.kinematic.scenario import PAPER_NAMES, Scenario
@@ -279,7 +279,8 @@ def _behind(
             ],
         )
     for row, start in zip(rows, plan.starts, strict=True):
-        pairs = zip(follow_shown(shown, start, threads), truths, strict=True)
+        true = [begun(truth, start) for truth in truths]
+        pairs = zip(follow_shown(shown, start, threads), true, strict=True)
         scored = [
             rollout_samples(replace(rollout, reference=truth), ends) for rollout, truth in pairs
         ]
@@ -298,6 +299,6 @@ def _policy(plan: Plan, jobs: Sequence[Job], threads: int, mapper: Mapper) -> Sc
     for row, start in zip(plan.rows, plan.starts, strict=True):
         config = with_noise(env_config(policy), plan.noise)
         config = replace(config, starts=starts_of(start))
-        begin_at = first_answers(clips) if start == "estimate" else None
-        rollouts = roll_out(policy, clips, config, threads, begin_at=begin_at)
+        follow, begin_at = begun_in_estimates(clips, start)
+        rollouts = roll_out(policy, follow, config, threads, begin_at=begin_at)
         yield row, [sums_of(rollout_samples(r, plan.scenario.ends), FPS) for r in rollouts]

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
+from agents.comparison.begun import begun
 from agents.comparison.conditions import condition_of
 from agents.comparison.film import GHOST_OPACITY, FilmFigure, colour_of, figures_of, look_of
 from agents.comparison.report import Row
@@ -60,7 +61,7 @@ def _strip(row: Row, motion: Motion, threads: int) -> np.ndarray:
     name, start = condition_of(row.scenario)
     scenario = next(each for each in suiting(row.agent) if each.name == name)
     (part,) = figures_of(row.agent, [motion], threads, start, scenario)
-    user = to_clip(motion)
+    user = begun(to_clip(motion), start)
     frames = moments(part.clip, user)
     cameras = clip_cameras(user, TILE[0] / TILE[1], smoothing_s=0.0)
     errors = mpjpe_cm(part.clip.link_position, user.link_position[: len(part.clip)])

@@ -13,7 +13,7 @@ from envs.objects import OBJECTS
 from envs.terrain import TERRAINS
 from questsim.modes import one_of
 
-Begin = Literal["reference", "still", "standing", "estimate"]
+Begin = Literal["reference", "still", "standing", "estimate", "first-estimate"]
 CONDITIONS = ("reference", "still", "standing", "noise")
 """Conditions of ``ByGroupArgs``."""
 
@@ -63,7 +63,8 @@ class EvaluateArgs(_FollowArgs):
     ] = ()
     begin: Begin = "reference"
     """Initial state of the avatar: the user's pose and velocity; the user's pose, at rest; standing
-    upright at the user's position, at rest; or the first estimate of HMD-Poser."""
+    upright at the user's position, at rest; HMD-Poser's estimate after 0.2 s, when the avatar then
+    begins; or its first estimate."""
     noise: bool = False
     """Simulate real devices: noise of 5 mm and 1 degree, mounting errors up to 3 cm and 10 degrees,
     latency jitter up to 2 frames, dropouts of up to half a second every few seconds."""

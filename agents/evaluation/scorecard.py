@@ -38,7 +38,7 @@ from questsim.motion.clip import Clip
 from questsim.statistics import interval
 
 SCORECARD_FILE, TRIAL_FILE = "scorecard.json", "trial.json"
-FirstAnswers = Callable[[Sequence[Clip]], Mapping[str, Clip]]
+Answers = Callable[[Sequence[Clip]], tuple[list[Clip], Mapping[str, Clip]]]
 """Makes estimates of the first frames of clips, by name."""
 
 
@@ -76,7 +76,7 @@ def scorecard(
     seed: int = 0,
     rows: Sequence[str] = (),
     extra: str | None = None,
-    first_answers: FirstAnswers | None = None,
+    answers: Answers | None = None,
     say: Callable[[str], None] = print,
     mapper: Mapper = map,
 ) -> dict[str, Any]:
@@ -92,7 +92,8 @@ def scorecard(
         seed: seed of the embedded motions.
         rows: names of ``TRIALS`` to evaluate; all that the agent has if empty.
         extra: motions of the trial ``extra``, which is left out without them.
-        first_answers: estimates for the trial ``estimate``, which is left out without it.
+        answers: clips from the moment at which avatars begin, and estimates of it, for the trial
+            ``estimate``, which is left out without it.
         say: prints a line after each trial.
         mapper: runs the batches of a trial, here or on workers, with the same bits.
 
@@ -102,7 +103,7 @@ def scorecard(
     Raises:
         InputError: one of the policies, rows or motions is missing.
     """
-    jobs = _jobs(agent, motions, max_clips, seed, _chosen(agent, rows, extra, first_answers), extra)
+    jobs = _jobs(agent, motions, max_clips, seed, _chosen(agent, rows, extra, answers), extra)
     tracker = all(job.agent.needs.privileged for job in jobs)
     if not rows:
         jobs += _learnt(agent, motions, jobs)
@@ -111,7 +112,7 @@ def scorecard(
     for job in jobs:
         kept, began = _kept(job, out), time.perf_counter()
         if kept is None:
-            kept = _evaluated(job, out, threads, first_answers, mapper)
+            kept = _evaluated(job, out, threads, answers, mapper)
             spent, done = spent + time.perf_counter() - began, done + job.frames
         left -= job.frames
         figures[job.name] = kept
@@ -125,7 +126,7 @@ def scorecard(
 
 
 def _chosen(
-    agent: str, rows: Sequence[str], extra: str | None, first_answers: FirstAnswers | None
+    agent: str, rows: Sequence[str], extra: str | None, answers: Answers | None
 ) -> list[str]:
     """Names of the trials to run."""
     unknown = [name for name in rows if name not in TRIALS]
@@ -146,7 +147,7 @@ def _chosen(
         for name, trial in TRIALS.items()
         if (variants or not trial.suffix)
         and (name != EXTRA or extra is not None)
-        and (not trial.estimate or first_answers is not None)
+        and (not trial.estimate or answers is not None)
     ]
 
 
@@ -232,7 +233,7 @@ def _evaluated(
     job: _PlannedTrial,
     out: Path | None,
     threads: int,
-    first_answers: FirstAnswers | None,
+    answers: Answers | None,
     mapper: Mapper,
 ) -> dict[str, Any]:
     """The figures of a trial; writes its report and the file that keeps it."""
@@ -245,9 +246,11 @@ def _evaluated(
         row = world_row(trial.world, job.agent, job.clips, job.config, threads, 0, mapper)
         figures = _share(row["success"], row["interval"]) | {"world": row}
     else:
-        begin_at = first_answers(job.clips) if trial.estimate and first_answers else None
+        clips, begin_at = job.clips, None
+        if trial.estimate and answers:
+            clips, begin_at = answers(clips)
         # Sorted, as the reports of earlier versions are.
-        ordered = sorted(job.clips, key=len)
+        ordered = sorted(clips, key=len)
         rollouts = roll_out(
             job.agent, ordered, job.config, threads, begin_at=begin_at, mapper=mapper
         )

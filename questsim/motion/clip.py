@@ -60,17 +60,22 @@ class Clip:
 
     def first(self, frames: int) -> Clip:
         """The first frames of the clip; itself if it has no more."""
-        if frames >= len(self):
-            return self
+        return self if frames >= len(self) else self._part(slice(frames))
+
+    def after(self, frames: int) -> Clip:
+        """The clip without its first frames; at least one is left."""
+        return self._part(slice(min(frames, len(self) - 1), None))
+
+    def _part(self, part: slice) -> Clip:
         return replace(
             self,
-            qpos=self.qpos[:frames],
-            qvel=self.qvel[:frames],
-            link_position=self.link_position[:frames],
-            link_quat=self.link_quat[:frames],
-            link_velocity=self.link_velocity[:frames],
-            link_angular_velocity=self.link_angular_velocity[:frames],
-            contacts=self.contacts[:frames],
+            qpos=self.qpos[part],
+            qvel=self.qvel[part],
+            link_position=self.link_position[part],
+            link_quat=self.link_quat[part],
+            link_velocity=self.link_velocity[part],
+            link_angular_velocity=self.link_angular_velocity[part],
+            contacts=self.contacts[part],
         )
 
     def scaled(self, height_m: float) -> Clip:

@@ -1,0 +1,159 @@
+"""The tables of ablations in their page: ``python -m docs.figures.ablation_tables``.
+
+    python -m docs.figures.ablation_tables [--write] [ablations/*/ablations.json]
+
+Prints the tables of the reports that ``ablations.json`` in this folder keeps. Named reports replace
+those of the same agents; ``--write`` keeps them, replaces the tables in the page, between
+``<!-- ablations: AGENT -->`` and ``<!-- end -->``, and draws the picture of performers never seen.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from agents.comparison.ablated import QUESTSIM, ablated
+from agents.comparison.ablation_report import SCHEMA, SCHEMA_VERSION
+from agents.comparison.ablations import FULL, HELD_OUT
+from agents.comparison.report import LABELS
+from agents.shipping.model_card import read_report
+from questsim.cli import guarded
+from questsim.files import whole_file
+
+HERE = Path(__file__).parent
+KEPT = HERE / "ablations.json"
+PAGE = HERE.parent / "ablations.md"
+PICTURE = HERE.parent / "images" / "unseen-performer.png"
+CONTEXT = ("preset", "motions", "minutes", "steps", "seed", "seeds", "hold_out", "set")
+_PLACE = re.compile(r"(<!-- ablations: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+Report = dict[str, Any]
+
+
+def main() -> None:
+    """Print or write the tables."""
+    kept: dict[str, Report] = json.loads(KEPT.read_text("utf-8")) if KEPT.exists() else {}
+    for name in (word for word in sys.argv[1:] if word != "--write"):
+        found = read_report(Path(name), SCHEMA, SCHEMA_VERSION, "ablations", "ablations.json")
+        kept[found["context"]["agent"]] = shortened(found)
+    if "--write" not in sys.argv:
+        print("\n\n".join(f"{agent}\n\n{table_of(report)}" for agent, report in kept.items()))
+        return
+    with whole_file(KEPT) as path:
+        path.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+    text = written(PAGE.read_text("utf-8"), kept)
+    with whole_file(PAGE) as path:
+        path.write_text(text, encoding="utf-8")
+    draw(kept)
+
+
+def shortened(report: Report) -> Report:
+    """What is kept of a report: its tables' figures, and how it was made."""
+    context = report["context"]
+    names = _figures(context["agent"])
+    return {
+        "agent": context["agent"],
+        **{name: context[name] for name in CONTEXT},
+        "test": context["data"]["motions"],
+        "clips": context["data"]["clips"],
+        "variants": [{n: v[n] for n in ("name", "what", "training")} for v in report["variants"]],
+        "rows": [
+            {
+                "variant": row["variant"],
+                "scenario": row["scenario"],
+                "clips": row["clips"],
+                **{name: row["pooled"].get(name) for name in names},
+            }
+            for row in report["rows"]
+        ],
+    }
+
+
+def _figures(agent: str) -> Sequence[str]:
+    """The first figures of the agent's table: success and MPJPE of a policy, else an error."""
+    own = ablated(agent).figures
+    return own[:2] if agent == QUESTSIM else [n for n in own if n in ("mpjpe_cm", "pos_cm")][:1]
+
+
+def written(text: str, kept: Mapping[str, Report]) -> str:
+    """The page's text with the tables in their places."""
+    return _PLACE.sub(lambda m: f"{m[1]}\n{described(kept[m[2]])}\n\n{m[3]}", text)
+
+
+def described(report: Report) -> str:
+    """One sentence on how the variants were trained, and the table."""
+    budget = (
+        f"{report['steps']:,} steps a stage"
+        if report["steps"] is not None
+        else f"{report['minutes']:g} minutes"
+    )
+    held = report["hold_out"].replace(",", " and ")
+    styles = f"; *unseen* are its clips of the styles {held}" if held else ""
+    return (
+        f"Each trained on `{report['motions']}` for {budget}, scored on {report['clips']} clips of "
+        f"`{report['test']}`{styles}.\n\n{table_of(report)}"
+    )
+
+
+def table_of(report: Report) -> str:
+    """A line for each variant; in brackets what differs from the whole system."""
+    names = _figures(report["agent"])
+    scenarios = list(dict.fromkeys(row["scenario"] for row in report["rows"]))
+    there = {(row["variant"], row["scenario"]): row for row in report["rows"]}
+    columns = [(name, scenario) for scenario in scenarios for name in names]
+    suffix = f"; {report['hold_out']}"
+    head = [f"{LABELS[name]}, {s.replace(suffix, ' *unseen*')}" for name, s in columns]
+    lines = [f"| variant | {' | '.join(head)} | steps |", "|---" * (len(columns) + 2) + "|"]
+    for variant in report["variants"]:
+        cells = []
+        for name, scenario in columns:
+            value = there.get((variant["name"], scenario), {}).get(name)
+            whole = there[FULL, scenario][name]
+            apart = "" if variant["name"] == FULL or value is None else f" ({value - whole:+.2f})"
+            cells.append("-" if value is None else f"{value:.2f}{apart}")
+        steps = " + ".join(f"{stage['steps']:,}" for stage in variant["training"].values())
+        lines.append(f"| `{variant['name']}` | {' | '.join(cells)} | {steps} |")
+    return "\n".join(lines)
+
+
+def unseen(kept: Mapping[str, Report]) -> list[tuple[str, str, str, float, float]]:
+    """Agent, scenario, figure, and its values of a known and of an unseen performer."""
+    found = []
+    for agent, report in kept.items():
+        rows = {(row["variant"], row["scenario"]): row for row in report["rows"]}
+        for (variant, scenario), row in rows.items():
+            if variant == HELD_OUT and scenario.endswith(f"; {report['hold_out']}"):
+                name = _figures(agent)[-1]
+                known = rows[FULL, scenario][name]
+                found.append((agent, scenario.split(";")[0], name, known, row[name]))
+    return found
+
+
+def draw(kept: Mapping[str, Report]) -> None:
+    """The errors of known and of unseen performers as bars."""
+    import matplotlib.pyplot as plt
+
+    rows = unseen(kept)
+    figure, axes = plt.subplots(figsize=(7.5, 0.8 + 0.42 * len(rows)))
+    for i, (_, _, _, known, new) in enumerate(rows):
+        axes.barh(i - 0.19, known, 0.36, color="tab:blue", label="" if i else "trained on, too")
+        axes.barh(i + 0.19, new, 0.36, color="tab:orange", label="" if i else "never seen")
+        axes.annotate(f"{new / known:.1f} x", (new, i + 0.19), (3, 0), va="center", fontsize=8,
+                      textcoords="offset points")  # fmt: skip
+    labels = [f"{agent}, {scenario} ({LABELS[name]})" for agent, scenario, name, _, _ in rows]
+    axes.set_yticks(range(len(rows)), labels)
+    axes.invert_yaxis()
+    axes.set_xlabel("error on the same clips of one performer, cm")
+    axes.margins(x=0.1)
+    axes.legend(loc="lower right")
+    figure.tight_layout()
+    figure.savefig(PICTURE, dpi=110)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    guarded(main)
