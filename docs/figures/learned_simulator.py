@@ -196,6 +196,9 @@ def network(inputs: int, hidden: Sequence[int], outputs: int) -> nn.Sequential:
 class Normal(nn.Module):
     """A network of inputs with mean 0 and deviation 1 over the first cycle, in bfloat16."""
 
+    mean: Tensor
+    scale: Tensor
+
     def __init__(self, layers: nn.Sequential, sample: Tensor) -> None:
         super().__init__()
         self.layers = layers
@@ -211,6 +214,9 @@ class Normal(nn.Module):
 
 class Model(nn.Module):
     """Predicts how the links' velocities change within a step, and from it their next state."""
+
+    push: Tensor
+    twist: Tensor
 
     def __init__(self, hidden: int, sample: Tensor, changes: tuple[Tensor, Tensor]) -> None:
         super().__init__()
