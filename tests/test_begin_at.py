@@ -8,18 +8,24 @@ import numpy as np
 import pytest
 from helpers import swaying_clip
 
-from agents.kinematic.first_answers import first_answers
+from agents.kinematic.first_answers import (
+    SETTLED_FRAMES,
+    first_answers,
+    settled_after,
+    settled_answers,
+)
 from agents.training.options import TrainArgs
 from agents.training.rollout_worker import BatchSpec
 from agents.training.start_estimates import start_estimates
 from envs import BatchSim, EnvConfig, Terrain
 from envs.randomisation import Randomisation
-from envs.starts import Starts
+from envs.starts import WHOLLY, Starts
 from envs.terrain import TERRAINS
 from questsim.bodies import read_body
 from questsim.errors import InputError
 from questsim.motion.kinematics import clip_from_qpos
 from questsim.motion.library import save_library
+from questsim.motion.spec import load_motions
 from questsim.skeleton import LINKS
 
 CLIPS = [swaying_clip("a", 1.75), swaying_clip("b", 1.6)]
@@ -99,6 +105,44 @@ def test_first_estimates_are_near_their_user() -> None:
     assert estimate.height_m == CLIPS[0].height_m and 2 < len(estimate) < 10
     apart = np.linalg.norm(estimate.link_position[0] - CLIPS[0].link_position[0], axis=-1)
     assert 1e-3 < apart.mean() < 0.15
+
+
+def test_avatars_begin_in_an_estimate_that_has_settled_and_knows_no_later_frame() -> None:
+    clips = load_motions("synthetic:walk+jog")[:3]
+    begun, estimates = settled_answers(clips)
+    first = first_answers(clips)
+    errors, speeds = [], []
+    for clip, rest in zip(clips, begun, strict=True):
+        assert len(rest) == len(clip) - SETTLED_FRAMES
+        np.testing.assert_array_equal(rest.qpos[0], clip.qpos[SETTLED_FRAMES])
+        now, before = estimates[clip.name], first[clip.name]
+        assert len(now) == 1
+        errors.append([np.abs(now.link_position[0] - rest.link_position[0]).mean(),
+                       np.abs(before.link_position[0] - clip.link_position[0]).mean()])  # fmt: skip
+        speeds.append([np.abs(now.link_velocity[0] - rest.link_velocity[0]).mean(),
+                       np.abs(before.link_velocity[0] - clip.link_velocity[0]).mean()])  # fmt: skip
+    assert np.mean(errors, axis=0)[0] < np.mean(errors, axis=0)[1]
+    assert np.mean(speeds, axis=0)[0] < np.mean(speeds, axis=0)[1]
+    # What comes later does not change it.
+    cut = [clip.first(SETTLED_FRAMES + 9) for clip in clips]
+    for name, estimate in settled_answers(cut)[1].items():
+        np.testing.assert_allclose(estimate.qpos, estimates[name].qpos, atol=1e-6)
+        np.testing.assert_allclose(estimate.qvel, estimates[name].qvel, atol=1e-4)
+    # The avatar is there.
+    config = EnvConfig(starts=WHOLLY["estimate"], fixed_start=True)
+    sim = BatchSim(begun, config, begin_at=estimates)
+    sim.reset()
+    np.testing.assert_allclose(
+        sim.qpos[:, 7:40], [estimates[clip.name].qpos[0, 7:] for clip in clips], atol=1e-6
+    )
+
+
+def test_an_avatar_of_a_short_clip_begins_earlier() -> None:
+    clip = CLIPS[0]
+    assert settled_after(clip) == SETTLED_FRAMES
+    assert settled_after(clip.first(11)) == 3 and settled_after(clip.first(5)) == 0
+    begun, estimates = settled_answers([clip.first(11), replace(clip.first(8), name="short")])
+    assert [len(each) for each in begun] == [8, 8] and list(estimates) == [clip.name, "short"]
 
 
 def test_a_training_takes_the_estimates_of_its_motions_and_refuses_others(tmp_path) -> None:
