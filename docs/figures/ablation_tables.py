@@ -140,16 +140,19 @@ def draw(kept: Mapping[str, Report]) -> None:
     rows = unseen(kept)
     figure, axes = plt.subplots(figsize=(7.5, 0.8 + 0.42 * len(rows)))
     for i, (_, _, _, known, new) in enumerate(rows):
-        axes.barh(i - 0.19, known, 0.36, color="tab:blue", label="" if i else "trained on, too")
+        axes.barh(i - 0.19, known, 0.36, color="tab:blue", label="" if i else "in the training")
         axes.barh(i + 0.19, new, 0.36, color="tab:orange", label="" if i else "never seen")
         axes.annotate(f"{new / known:.1f} x", (new, i + 0.19), (3, 0), va="center", fontsize=8,
                       textcoords="offset points")  # fmt: skip
-    labels = [f"{agent}, {scenario} ({LABELS[name]})" for agent, scenario, name, _, _ in rows]
+    labels = [
+        f"{agent}, {scenario} ({LABELS[name].split(' (')[0]})"
+        for agent, scenario, name, _, _ in rows
+    ]
     axes.set_yticks(range(len(rows)), labels)
     axes.invert_yaxis()
     axes.set_xlabel("error on the same clips of one performer, cm")
     axes.margins(x=0.1)
-    axes.legend(loc="lower right")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False)
     figure.tight_layout()
     figure.savefig(PICTURE, dpi=110)
     plt.close(figure)

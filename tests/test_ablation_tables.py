@@ -1,0 +1,66 @@
+"""The tables of ablations in the pages (docs/figures/ablation_tables.py)."""
+
+import json
+
+import pytest
+
+from docs.figures import ablation_tables
+from docs.figures.ablation_tables import KEPT, PAGE, described, table_of, unseen, written
+from questsim.errors import InputError
+
+
+def report(agent: str = "sparseposer") -> dict:
+    scenarios = ("6", "6; old")
+    values = {"full": (1.0, 2.0), "held-out": (1.5, 5.0)}
+    training = {"generator": {"steps": 1000, "minutes": 3.0}, "ik": {"steps": 20, "minutes": 1.0}}
+    return {
+        "agent": agent, "preset": "cpu", "motions": "a", "minutes": None, "steps": 1000, "seed": 0,
+        "seeds": 1, "hold_out": "old", "set": [], "test": "b", "clips": 7,
+        "variants": [{"name": n, "what": "", "training": training} for n in values],
+        "rows": [
+            {"variant": n, "scenario": s, "clips": 7, "pos_cm": v}
+            for n, row in values.items() for s, v in zip(scenarios, row, strict=True)
+        ],
+    }  # fmt: skip
+
+
+def test_the_page_has_the_kept_tables() -> None:
+    text = PAGE.read_text("utf-8")
+    assert written(text, json.loads(KEPT.read_text("utf-8"))) == text
+    assert text.count("<!-- ablations: ") == len(json.loads(KEPT.read_text("utf-8")))
+
+
+def test_differences_are_from_the_whole_system_and_unseen_clips_have_a_column() -> None:
+    lines = table_of(report()).splitlines()
+    assert lines[0] == "| variant | pos (cm), 6 | pos (cm), 6 *unseen* | steps |"
+    assert lines[2] == "| `full` | 1.00 | 2.00 | 1,000 + 20 |"
+    assert lines[3] == "| `held-out` | 1.50 (+0.50) | 5.00 (+3.00) | 1,000 + 20 |"
+    assert "styles old." in described(report()) and "1,000 steps a stage" in described(report())
+    assert unseen({"sparseposer": report()}) == [("sparseposer", "6", "pos_cm", 2.0, 5.0)]
+
+
+def test_a_named_report_replaces_the_kept_one_of_its_agent(tmp_path, monkeypatch, capsys) -> None:
+    own = report()
+    rows = [
+        {**{k: v for k, v in row.items() if k != "pos_cm"}, "pooled": {"pos_cm": row["pos_cm"]}}
+        for row in own["rows"]
+    ]
+    context = {k: own[k] for k in ablation_tables.CONTEXT} | {
+        "agent": "sparseposer", "data": {"motions": "b", "clips": 7},
+    }  # fmt: skip
+    whole = {"schema": "questsim-ablations", "version": 1, "context": context,
+             "variants": own["variants"], "rows": rows}  # fmt: skip
+    (tmp_path / "ablations.json").write_text(json.dumps(whole))
+    (tmp_path / "page.md").write_text("a\n<!-- ablations: sparseposer -->\nold\n<!-- end -->\nb\n")
+    for name, file in (("KEPT", "kept.json"), ("PAGE", "page.md"), ("PICTURE", "picture.png")):
+        monkeypatch.setattr(ablation_tables, name, tmp_path / file)
+    monkeypatch.setattr("sys.argv", ["", "--write", str(tmp_path / "ablations.json")])
+    ablation_tables.main()
+    assert json.loads((tmp_path / "kept.json").read_text()) == {"sparseposer": own}
+    page = (tmp_path / "page.md").read_text()
+    assert table_of(own) in page and "old\n<!--" not in page and page.startswith("a\n")
+    assert (tmp_path / "picture.png").stat().st_size > 1000
+    (tmp_path / "kept.json").write_text("{}")
+    monkeypatch.setattr("sys.argv", ["", str(tmp_path / "gone.json")])
+    with pytest.raises(InputError, match=r"gone\.json"):
+        ablation_tables.main()
