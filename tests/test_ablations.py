@@ -519,7 +519,7 @@ def test_other_seeds_and_a_performer_held_out_are_rows_of_their_own(library, tmp
     # A third seed is added later; the others are not trained again.
     more = replace(args, resume=True, seeds=3, variants=("seed-2",))
     assert ablations(more) == 0
-    with pytest.raises(InputError, match="hold_out"):
+    with pytest.raises(InputError, match="--hold-out was young, not old"):
         ablations(replace(more, hold_out="old"))
 
 

@@ -117,7 +117,7 @@ def test_each_condition_has_its_column_and_the_usual_tables_have_none_of_them():
     assert "| a | 6 | 1.50 | 2.00 | - | - | - | - |" in noise([more, white]).splitlines()
     own = row("HMD", 3.0, success_percent=90.0)
     standing = row("HMD, from standing", 4.0, success_percent=80.0)
-    line = "| a | HMD | 0 | 90.00 | - | 80.00 | 3.00 | - | 4.00 |"
+    line = "| a | HMD | 0 | 90.00 | - | - | 80.00 | 3.00 | - | - | 4.00 |"
     assert starts([own, standing]).splitlines()[2:] == [line]
     of_all = row("HMD", 9.0, success_percent=50.0)
     of_all = replace(of_all, clips=2, fewer={"mpjpe_cm": 3.0, "success_percent": 90.0})

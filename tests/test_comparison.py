@@ -199,6 +199,10 @@ def test_a_stopped_comparison_goes_on_and_another_one_is_refused(tmp_path, monke
     assert row["pooled"]["pos_cm"] < 1.0 and row["std"]["pos_cm"] > 0.0
     with pytest.raises(InputError, match=r"another comparison \(other seed"):
         compare(replace(args, seed=1))
+    # Results of another moment at which avatars begin are not taken for today's.
+    monkeypatch.setattr("agents.comparison.compare.SETTLED_FRAMES", 0)
+    with pytest.raises(InputError, match=r"another comparison \(other settled_frames"):
+        compare(args)
 
 
 def test_sums_of_clips_give_the_mean_deviation_and_interval_of_all_samples():

@@ -35,6 +35,7 @@ from agents.evaluation.follow import choose_clips
 from agents.kinematic.data import motions_record
 from agents.kinematic.device_faults import NOISES, Noise
 from agents.kinematic.estimates import at_sensor_rate, unsupported
+from agents.kinematic.first_answers import SETTLED_FRAMES
 from agents.kinematic.processes import process_map
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.scenario import Scenario
@@ -93,6 +94,7 @@ def compare(args: CompareArgs) -> int:
         "versions": versions(),
         "seed": args.seed,
         "fewer_clips": args.fewer_clips,
+        "settled_frames": SETTLED_FRAMES,  # of the start "estimate"
     }
     if args.fewer_rows != CompareArgs(out=out).fewer_rows:
         context["fewer_rows"] = sorted(args.fewer_rows)

@@ -39,7 +39,7 @@ from questsim.statistics import interval
 
 SCORECARD_FILE, TRIAL_FILE = "scorecard.json", "trial.json"
 Answers = Callable[[Sequence[Clip]], tuple[list[Clip], Mapping[str, Clip]]]
-"""Makes estimates of the first frames of clips, by name."""
+"""Clips from the moment at which avatars begin, and estimates of that moment by name."""
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,7 @@ TRIALS: dict[str, Trial] = {
     EXTRA: Trial(says="motions of --extra"),
     "standing": Trial(says="standing start", changes={"starts": WHOLLY["standing"]}),
     "estimate": Trial(
-        says="start from an estimate", changes={"starts": WHOLLY["estimate"]}, estimate=True
+        says="start from a settled estimate", changes={"starts": WHOLLY["estimate"]}, estimate=True
     ),
     "noise": Trial(
         says="noise, mounts off, jitter, dropouts", changes={"randomisation": REAL_DEVICES}
