@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -154,22 +155,14 @@ def _config_of(args: EvaluateArgs, config: EnvConfig) -> EnvConfig:
     return replace(config, starts=WHOLLY[args.begin], unscaled_m=args.unscaled)
 
 
-def _begun(clips: list[Clip], begin: Begin) -> tuple[list[Clip], dict[str, Clip] | None]:
+def _begun(clips: Sequence[Clip], begin: Begin) -> tuple[list[Clip], dict[str, Clip] | None]:
     """The clips from the moment at which avatars begin, and the estimates in which they do."""
-    if begin == "estimate":
-        return _settled(clips)
-    if begin != "first-estimate":
-        return clips, None
+    if not begin.endswith("estimate"):
+        return list(clips), None
     # Imported here: this loads a kinematic system, which other evaluations do not need.
-    from agents.kinematic.first_answers import first_answers
+    from agents.kinematic.first_answers import begun_in_estimates
 
-    return clips, first_answers(clips)
-
-
-def _settled(clips: Sequence[Clip]) -> tuple[list[Clip], dict[str, Clip]]:
-    from agents.kinematic.first_answers import settled_answers
-
-    return settled_answers(clips)
+    return begun_in_estimates(clips, begin)
 
 
 def _evaluate_system(args: EvaluateArgs, found: Resolved) -> int:
@@ -243,7 +236,7 @@ def evaluate_scorecard(args: ScorecardArgs) -> int:
     with ray_map(args.workers, args.ray, args.threads) as mapper:
         card = scorecard(
             args.agent, args.motions, args.out, args.max_clips, args.threads, args.seed, args.rows,
-            args.extra, _settled, mapper=mapper,
+            args.extra, partial(_begun, begin="estimate"), mapper=mapper,
         )  # fmt: skip
     print(format_scorecard(card))
     return 0

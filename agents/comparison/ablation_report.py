@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -72,17 +72,22 @@ def table(results: Sequence[Result], agent: str, weighting: str) -> str:
         for result, row in pairs:
             apart = differences(row, full, weighting)
             cells = [
-                _cell(row.figures(weighting).get(name), None if row is full else apart.get(name))
+                cell(row.figures(weighting).get(name), None if row is full else apart.get(name))
                 for name in names
             ]
-            steps = " + ".join(f"{stage['steps']:,}" for stage in result.training.values())
-            line = [result.name, *cells, f"{row.parameters:,}", steps]
+            line = [result.name, *cells, f"{row.parameters:,}", steps_of(result.training)]
             lines.append(f"| {' | '.join(line)} |")
         lines.append("")
     return "\n".join(lines[:-1])
 
 
-def _cell(value: float | None, apart: float | None) -> str:
+def steps_of(training: Mapping[str, Mapping[str, float]]) -> str:
+    """The steps of each stage of a ``Result.training``."""
+    return " + ".join(f"{stage['steps']:,}" for stage in training.values())
+
+
+def cell(value: float | None, apart: float | None) -> str:
+    """A figure, with its difference from the full system in brackets unless it is None."""
     if value is None:
         return "-"
     return f"{value:.2f}" + ("" if apart is None else f" ({apart:+.2f})")

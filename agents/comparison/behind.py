@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agents.comparison.begun import begun
 from agents.comparison.conditions import Start, starts_of
 from agents.evaluation.rollout import env_config, roll_out
 from agents.kinematic.causal import causal_clip
-from agents.kinematic.first_answers import settled_after
+from agents.kinematic.first_answers import begun, settled_after
 from agents.kinematic.interface import Poses
 from agents.kinematic.physics_behind import TRACKER, begun_as, on_own_body
 from agents.loading import load_agent

@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from agents.comparison.begun import begun, begun_in_estimates
 from agents.comparison.behind import follow_shown, shown_of
 from agents.comparison.conditions import Start, starts_of
 from agents.comparison.plots import KINDS
 from agents.comparison.run import suiting
 from agents.evaluation.rollout import env_config, roll_out
 from agents.kinematic.estimates import Job, estimated_together
+from agents.kinematic.first_answers import begun, begun_in_estimates
 from agents.kinematic.physics_behind import until_lost
 from agents.kinematic.scenario import Scenario
 from agents.kinematic.without_physics import over_users_floor

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agents.comparison.begun import begun, begun_in_estimates
 from agents.comparison.behind import Shown, follow_shown, shown_of
 from agents.comparison.conditions import Start, row_name, starts_of, with_noise
 from agents.comparison.options import Slow
@@ -18,6 +17,7 @@ from agents.evaluation.mapping import Mapper
 from agents.evaluation.rollout import env_config, roll_out
 from agents.kinematic.device_faults import Noise
 from agents.kinematic.estimates import Job, estimated_together, loaded, scenarios_of
+from agents.kinematic.first_answers import begun, begun_in_estimates
 from agents.kinematic.interface import Poses
 from agents.kinematic.physics_behind import avatar_samples, rollout_samples
 from agents.kinematic.scenario import PAPER_NAMES, Scenario

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
-from agents.comparison.begun import begun
 from agents.comparison.conditions import condition_of
 from agents.comparison.film import GHOST_OPACITY, FilmFigure, colour_of, figures_of, look_of
 from agents.comparison.report import Row
 from agents.comparison.run import suiting
+from agents.kinematic.first_answers import begun
 from questsim.files import whole_file
 from questsim.metrics_terms import mpjpe_cm
 from questsim.motion.clip import FPS, Clip

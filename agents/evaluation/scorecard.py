@@ -38,7 +38,7 @@ from questsim.motion.clip import Clip
 from questsim.statistics import interval
 
 SCORECARD_FILE, TRIAL_FILE = "scorecard.json", "trial.json"
-Answers = Callable[[Sequence[Clip]], tuple[list[Clip], Mapping[str, Clip]]]
+Answers = Callable[[Sequence[Clip]], tuple[list[Clip], Mapping[str, Clip] | None]]
 """Clips from the moment at which avatars begin, and estimates of that moment by name."""
 
 

@@ -69,6 +69,20 @@ def settled_after(clip: Clip) -> int:
     return max(0, min(SETTLED_FRAMES, len(clip) - _LEAST_FRAMES))
 
 
+def begun(clip: Clip, start: str) -> Clip:
+    """The clip from the moment at which the avatar begins; ``start`` as of ``--begin``."""
+    return clip.after(settled_after(clip)) if start == "estimate" else clip
+
+
+def begun_in_estimates(
+    clips: Sequence[Clip], start: str
+) -> tuple[list[Clip], dict[str, Clip] | None]:
+    """The clips from then on, and HMD-Poser's estimates in which avatars begin, if they do."""
+    if start == "estimate":
+        return settled_answers(clips)
+    return list(clips), first_answers(clips) if start == "first-estimate" else None
+
+
 def _estimates(clips: Sequence[Clip], frames: Sequence[int], system: str) -> Iterator[Clip]:
     """Estimates of the first ``frames`` at 60 Hz of each clip, at 36 Hz and of its stature."""
     poser, devices = load_system(system), sensor_set("H+2C")

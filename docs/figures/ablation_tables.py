@@ -10,26 +10,29 @@ those of the same agents; ``--write`` keeps them, replaces the tables in the pag
 from __future__ import annotations
 
 import json
-import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from agents.comparison.ablated import QUESTSIM, ablated
-from agents.comparison.ablation_report import SCHEMA, SCHEMA_VERSION
+from agents.comparison.ablation_report import SCHEMA, SCHEMA_VERSION, cell, steps_of
 from agents.comparison.ablations import FULL, HELD_OUT
 from agents.comparison.report import LABELS
 from agents.shipping.model_card import read_report
+from docs.figures.comparison_people import paired_bars
+from docs.figures.comparison_table import in_places
 from questsim.cli import guarded
 from questsim.files import whole_file
+from questsim.plots import figure_file
 
 HERE = Path(__file__).parent
 KEPT = HERE / "ablations.json"
 PAGE = HERE.parent / "ablations.md"
 PICTURE = HERE.parent / "images" / "unseen-performer.png"
 CONTEXT = ("preset", "motions", "minutes", "steps", "seed", "seeds", "hold_out", "set")
-_PLACE = re.compile(r"(<!-- ablations: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 Report = dict[str, Any]
 
@@ -81,7 +84,7 @@ def _figures(agent: str) -> Sequence[str]:
 
 def written(text: str, kept: Mapping[str, Report]) -> str:
     """The page's text with the tables in their places."""
-    return _PLACE.sub(lambda m: f"{m[1]}\n{described(kept[m[2]])}\n\n{m[3]}", text)
+    return in_places(text, "ablations", lambda agent: described(kept[agent]))
 
 
 def described(report: Report) -> str:
@@ -113,10 +116,11 @@ def table_of(report: Report) -> str:
         for name, scenario in columns:
             value = there.get((variant["name"], scenario), {}).get(name)
             whole = there[FULL, scenario][name]
-            apart = "" if variant["name"] == FULL or value is None else f" ({value - whole:+.2f})"
-            cells.append("-" if value is None else f"{value:.2f}{apart}")
-        steps = " + ".join(f"{stage['steps']:,}" for stage in variant["training"].values())
-        lines.append(f"| `{variant['name']}` | {' | '.join(cells)} | {steps} |")
+            known = value is None or variant["name"] == FULL
+            cells.append(cell(value, None if known else value - whole))
+        lines.append(
+            f"| `{variant['name']}` | {' | '.join(cells)} | {steps_of(variant['training'])} |"
+        )
     return "\n".join(lines)
 
 
@@ -135,27 +139,21 @@ def unseen(kept: Mapping[str, Report]) -> list[tuple[str, str, str, float, float
 
 def draw(kept: Mapping[str, Report]) -> None:
     """The errors of known and of unseen performers as bars."""
-    import matplotlib.pyplot as plt
-
     rows = unseen(kept)
-    figure, axes = plt.subplots(figsize=(7.5, 0.8 + 0.42 * len(rows)))
-    for i, (_, _, _, known, new) in enumerate(rows):
-        axes.barh(i - 0.19, known, 0.36, color="tab:blue", label="" if i else "in the training")
-        axes.barh(i + 0.19, new, 0.36, color="tab:orange", label="" if i else "never seen")
-        axes.annotate(f"{new / known:.1f} x", (new, i + 0.19), (3, 0), va="center", fontsize=8,
-                      textcoords="offset points")  # fmt: skip
-    labels = [
+    names = [
         f"{agent}, {scenario} ({LABELS[name].split(' (')[0]})"
         for agent, scenario, name, _, _ in rows
     ]
-    axes.set_yticks(range(len(rows)), labels)
-    axes.invert_yaxis()
-    axes.set_xlabel("error on the same clips of one performer, cm")
-    axes.margins(x=0.1)
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False)
-    figure.tight_layout()
-    figure.savefig(PICTURE, dpi=110)
-    plt.close(figure)
+    known, new = (np.array([row[k] for row in rows], float) for k in (3, 4))
+    with figure_file(PICTURE, 8.0, 0.42 * len(rows) + 1.0) as figure:
+        axis = figure.subplots()
+        place = paired_bars(axis, names, {"in the training": known, "never seen": new})
+        for at, a, b in zip(place, known, new, strict=True):
+            axis.annotate(
+                f"{b / a:.1f} x", (b, at - 0.2), (3, 0), va="center", textcoords="offset points"
+            )
+        axis.set_xlabel("error on the same clips of one performer, cm")
+        axis.margins(x=0.1)
 
 
 if __name__ == "__main__":

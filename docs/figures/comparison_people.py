@@ -8,12 +8,13 @@ and draws their mean joint errors (``docs/images/comparison-people.png``).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import tyro
+from matplotlib.axes import Axes
 
 from agents.comparison.plots import scenario_text
 from agents.comparison.report import RECORDING, Row
@@ -69,17 +70,29 @@ def main() -> None:
         for key, digits in (("mpjpe_cm", 2), ("foot_skate_cm_s", 1)):
             cells += [f"{row.pooled[key]:.{digits}f}" for row in (a, b)]
         print("| " + " | ".join([*cells, percent(a), percent(b)]) + " |")
-    place = np.arange(len(both))[::-1]
+    names = [f"{row.agent}, {scenario_text(row)}" for row, _ in both]
+    known, others = (np.array([p[k].pooled["mpjpe_cm"] for p in both], float) for k in (0, 1))
     with figure_file(PICTURE, 8.0, 0.3 * len(both) + 1.0) as figure:
         axis = figure.subplots()
-        for number, label in enumerate(("people of the training", "other people")):
-            errors = np.array([pair[number].pooled["mpjpe_cm"] for pair in both], float)
-            axis.barh(place + 0.2 - 0.4 * number, errors, 0.4, label=label)
-        names = [f"{row.agent}, {scenario_text(row)}" for row, _ in both]
-        axis.set_yticks(place, names, fontsize=8)
+        paired_bars(axis, names, {"people of the training": known, "other people": others})
         axis.set_xlabel("MPJPE (cm)")
-        axis.margins(y=0.01)
-        axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+
+
+def paired_bars(axis: Axes, names: Sequence[str], bars: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Draw two horizontal bars a name, the first name above; returns the heights of the names.
+
+    Args:
+        axis: to draw on.
+        names: ``n`` of them.
+        bars: two labels, and the ``(n,)`` lengths of their bars.
+    """
+    place = np.arange(len(names))[::-1]
+    for number, (label, lengths) in enumerate(bars.items()):
+        axis.barh(place + 0.2 - 0.4 * number, lengths, 0.4, label=label)
+    axis.set_yticks(place, names, fontsize=8)
+    axis.margins(y=0.01)
+    axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+    return place
 
 
 if __name__ == "__main__":

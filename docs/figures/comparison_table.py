@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -46,9 +46,6 @@ GAIN_NAMES = ("mpjre_deg", "mpjpe_cm", "mpjve_cm_s", "h_pe_cm", "u_pe_cm", "l_pe
 NOISE_NAMES = ("mpjpe_cm", "jitter_100_m_s3", "foot_skate_cm_s", "success_percent")
 COURSE_AT = (0, 1, 2, 3, 5, 6, 10, 20, 40)
 """Tenths of a second in the table of the course; 40 frames are 0.67 s."""
-_PLACE = re.compile(
-    r"(<!-- comparison: (short|full|gains|noise|starts|course) -->\n).*?(<!-- end -->)", re.DOTALL
-)
 
 
 def main() -> None:
@@ -86,7 +83,13 @@ def written(page: Path, rows: Sequence[Row]) -> str:
     made = (short, full, gains, noise, starts, course)
     tables = {make.__name__: make(rows) for make in made}
     text = page.read_text(encoding="utf-8")
-    return _PLACE.sub(lambda m: f"{m[1]}\n{tables[m[2]]}\n\n{m[3]}", text)
+    return in_places(text, "comparison", tables.__getitem__)
+
+
+def in_places(text: str, of: str, table: Callable[[str], str]) -> str:
+    """The text with ``table(NAME)`` between each ``<!-- OF: NAME -->`` and ``<!-- end -->``."""
+    place = re.compile(rf"(<!-- {of}: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
+    return place.sub(lambda m: f"{m[1]}\n{table(m[2])}\n\n{m[3]}", text)
 
 
 def usual(rows: Sequence[Row]) -> list[Row]:

@@ -34,12 +34,14 @@ from agents.policy.networks import TorquePolicy
 from agents.policy.policy_agent import head_alone
 from agents.policy.spec import Layout
 from agents.training.presets import TEACHER
+from docs.figures.training_curves import read
 from envs.config import EnvConfig
 from envs.core import BatchSim
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.differentiable import heading_matrix, quat_to_matrix
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.spec import load_motions
+from questsim.plots import figure_file
 
 KEPT = Path(__file__).with_suffix(".csv")
 DT = 1.0 / FPS
@@ -283,8 +285,7 @@ class Windows:
             parts.append(
                 [
                     Record(record.links.at((step + i, env)), record.row[step + i, env],
-                           record.action[(step + i).clamp(max=len(record.action) - 1), env],
-                           record.whole[:0])
+                           record.action[step + i, env], record.whole[:0])
                     for i in range(self._length + 1)
                 ]
             )  # fmt: skip
@@ -368,26 +369,20 @@ class Player:
 
 def draw() -> None:
     """Draw the kept curves: clips completed and link errors, by minutes on one core."""
-    import matplotlib.pyplot as plt
-
-    with KEPT.open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    curves = read(KEPT)
     names = {"ppo": "PPO, on the simulator", "model": "gradient through a learned model"}
-    figure, (share, error) = plt.subplots(1, 2, figsize=(9, 3.4))
-    for method, label in names.items():
-        found = [row for row in rows if row["method"] == method]
-        minutes = [float(row["minutes"]) for row in found]
-        share.plot(minutes, [float(r["tracked_percent"]) for r in found], "o-", ms=3, label=label)
-        error.plot(minutes, [float(row["link_error_cm"]) for row in found], "o-", ms=3)
-    share.set_ylabel("clips completed, %")
-    error.set_ylabel("link error until the fall, cm")
-    for axes in (share, error):
-        axes.set_xlabel("minutes on one core")
-        axes.set_ylim(bottom=0)
-        axes.grid(alpha=0.3)
-    share.legend()
-    figure.tight_layout()
-    figure.savefig(KEPT.parents[1] / "images" / "learned-simulator.png", dpi=110)
+    columns = {
+        "tracked_percent": "clips completed, %", "link_error_cm": "link error until the fall, cm"
+    }  # fmt: skip
+    with figure_file(KEPT.parents[1] / "images" / "learned-simulator.png", 9.0, 3.4) as figure:
+        for axis, (column, label) in zip(figure.subplots(1, 2), columns.items(), strict=True):
+            for curve, name in names.items():
+                points = [(float(row["minutes"]), float(row[column])) for row in curves[curve]]
+                axis.plot(*zip(*points, strict=True), "o-", ms=3, label=name)
+            axis.set(xlabel="minutes on one core", ylabel=label)
+            axis.set_ylim(bottom=0)
+            axis.grid(alpha=0.3)
+            axis.legend()
 
 
 def main(args: Args) -> None:
