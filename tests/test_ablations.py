@@ -3,6 +3,7 @@
 import csv
 import json
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -523,6 +524,21 @@ def test_other_seeds_and_a_performer_held_out_are_rows_of_their_own(library, tmp
         ablations(replace(more, hold_out="old"))
 
 
+def test_styles_that_the_training_lacks_are_refused_before_the_full_system_is_trained(
+    library, tmp_path, monkeypatch
+):
+    young = replace(MOTION, name="y", style="young")
+    save_library(library, [replace(MOTION, name="o", style="old"), young], [])
+    training = tmp_path / "training.npz"
+    save_library(training, [replace(MOTION, name="o", style="old")], [])
+    trained = []
+    monkeypatch.setattr("agents.comparison.ablated.train_system", lambda _: trained.append(1) or 0)
+    args = replace(arguments("lgsik", library, tmp_path / "out", hold_out="young"), motions=str(training))
+    with pytest.raises(InputError, match="no clip has style 'young'"):
+        ablations(args)
+    assert not trained and not (tmp_path / "out").exists()
+
+
 def test_ablations_stopped_during_a_training_can_be_continued(library, tmp_path, monkeypatch):
     out = tmp_path / "out"
     monkeypatch.setattr("agents.comparison.ablated.train_system", lambda args: 130)
@@ -550,6 +566,18 @@ def test_ablations_stopped_during_a_training_can_be_continued(library, tmp_path,
         (["--agent", "lgsik", "--out", "OUT", "--steps", "1", "--resume"], "no run to resume"),
         (["--agent", "lgsik", "--out", "OUT", "--steps", "1", "--seeds", "0"], "--seeds: is 0"),
         (["--agent", "lgsik", "--out", "OUT", "--steps", "1", "--hold-out", "x"], "style 'x'"),
+        ([*"--agent lgsik --out OUT --steps 1 --seeds 2 --variants no-graph".split()],
+         "--seeds: trains seed-1, which --variants leaves out; add seed-1 to --variants"),
+        ([*"--agent lgsik --out OUT --steps 1 --hold-out old --variants no-graph".split()],
+         "--hold-out: trains held-out, which --variants leaves out"),
+        ([*"--agent lgsik --out OUT --steps 1 --stage teacher".split()],
+         "--stage: is for questsim; leave it out"),
+        ([*"--agent questsim --out OUT --steps 1 --stage student".split()], "add e.g. --teacher"),
+        ([*"--agent questsim --out OUT --steps 1 --teacher tracker".split()],
+         "--teacher: is for the stage that learns from a teacher; add --stage student"),
+        ([*"--agent questsim --out OUT --steps 1 --stage teacher --variants future-0".split()],
+         "there is no 'future-0'"),
+        ([*"--agent questsim --out OUT --steps 1 --stage ppo".split()], "has no stage 'ppo'"),
     ],
 )
 def test_ablations_that_cannot_run_are_refused_in_one_line_and_leave_no_files(
@@ -611,6 +639,29 @@ def test_the_variants_of_questsim_change_the_stages_that_are_trained_by_reward()
     assert stages["teacher"].reward.k_link_positions == 16 * 60.0
     assert stages["student"] == policies.preset("cpu", ()).stages["student"]
     assert "finetune" not in " ".join(cpu["sums"].set)  # not in the default budget
+
+
+def test_one_stage_of_questsim_has_the_variants_that_change_it(library, tmp_path):
+    teacher = {v.name for v in ablated("questsim", "teacher").variants("cpu")}
+    assert teacher == {"contact", "sums", "no-scale"}
+    student = ablated("questsim", "student", Path("tracker"))
+    without = {v.name: v for v in student.variants("cpu")}
+    assert set(without) == {"future-3", "future-1", "future-0", "headset-only", "no-scale"}
+    assert all("stages.student." in part for part in without["no-scale"].set)
+
+    save_library(library, [MOTION], [to_clip(MOTION)])
+    small = ("num_envs=2", "validation_clips=1", "stages.student.policy.hidden=[8]",
+             "stages.student.learning.minibatch=8")  # fmt: skip
+    args = arguments(
+        "questsim", library, tmp_path / "out", preset="cpu", stage="student", steps=32, set=small,
+        teacher=Path("tracker"), variants=("future-0",),
+    )  # fmt: skip
+    assert ablations(args) == 0
+    report = json.loads((tmp_path / "out" / "ablations.json").read_text())
+    assert (report["context"]["stage"], report["context"]["teacher"]) == ("student", "tracker")
+    assert [list(variant["training"]) for variant in report["variants"]] == [["student"]] * 2
+    full, now = report["rows"]
+    assert now["parameters"] < full["parameters"]
 
 
 def test_a_reward_of_sums_has_the_published_formula():

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from agents.comparison.costs import plan_costs, run
 from agents.comparison.report import Row, row_of
@@ -29,6 +29,7 @@ from questsim.reward import PAPER_REWARD, summed
 
 QUESTSIM = "questsim"
 """Name of the torque policy in the command."""
+PolicyStage = Literal["all", "teacher", "student", "ppo"]
 FUTURES = (3, 1, 0)
 """Future frames of the variants; the full policy observes 6."""
 
@@ -65,17 +66,31 @@ class Ablated(Protocol):
         ...
 
 
-def ablated(name: str) -> Ablated:
+def ablated(name: str, stage: PolicyStage = "all", teacher: Path | None = None) -> Ablated:
     """The family of a name.
 
+    Args:
+        name: a kinematic system with variants, or questsim.
+        stage: the one stage of QuestSim's training that is ablated, or ``all``.
+        teacher: of QuestSim's stage ``student``.
+
     Raises:
-        InputError: it has no ablations.
+        InputError: it has no ablations, or not such ones.
     """
     known = [*(agent for agent, entry in AGENTS.items() if entry.variants), QUESTSIM]
     if name not in known:
         what = f"there are no ablations of {name!r}"
         raise InputError(what, "--agent", f"use {', '.join(known)}")
-    return PolicyAblated() if name == QUESTSIM else SystemAblated(name)
+    if teacher is not None and stage != "student":
+        what = "is for the stage that learns from a teacher"
+        raise InputError(what, "--teacher", "add --stage student, or leave it out")
+    if teacher is None and stage == "student":
+        raise InputError("needs a teacher", "--stage student", "add e.g. --teacher tracker")
+    if name == QUESTSIM:
+        return PolicyAblated(stage, teacher)
+    if stage != "all":
+        raise InputError(f"is for {QUESTSIM}", "--stage", "leave it out")
+    return SystemAblated(name)
 
 
 class SystemAblated:
@@ -120,7 +135,16 @@ class SystemAblated:
 
 
 class PolicyAblated:
-    """QuestSim: the torque policy of ``train.py``, scored from the user's true state."""
+    """QuestSim: the torque policy of ``train.py``, scored from the user's true state.
+
+    Args:
+        stage: the one stage that is trained, or ``all``. A teacher has no variants of the devices,
+            a student none of the reward.
+        teacher: of the stage ``student``.
+    """
+
+    def __init__(self, stage: PolicyStage, teacher: Path | None) -> None:
+        self._stage, self._teacher = stage, teacher
 
     figures: Sequence[str] = (
         "success_percent", "mpjpe_cm", "h_pe_cm", "world_cm", "jitter_100_m_s3", "foot_skate_cm_s",
@@ -132,33 +156,31 @@ class PolicyAblated:
 
     def variants(self, preset: str) -> Sequence[Variant]:
         """See ``Ablated``; those of the reward change the stages that are trained by it."""
-        whole = PRESETS[preset]
-        rewarded = {
+        trained = {
             name: stage
-            for name, stage in whole.stages.items()
-            if isinstance(stage.learning, PPOConfig) and stage.share > 0
+            for name, stage in PRESETS[preset].stages.items()
+            if (stage.share > 0 if self._stage == "all" else name == self._stage)
         }
-        without = "the stature and bone lengths of the avatar in the observation"
-        return (
-            _contact(rewarded),
-            Variant(
-                "sums",
-                "errors of the reward are sums over joints and links, as published, not means",
-                tuple(part for n, s in rewarded.items() for part in _sums(n, s)),
-            ),
-            *(
+        rewarded = {n: s for n, s in trained.items() if isinstance(s.learning, PPOConfig)}
+        found = []
+        if rewarded:
+            what = "errors of the reward are sums over joints and links, as published, not means"
+            sums = tuple(part for n, s in rewarded.items() for part in _sums(n, s))
+            found += [_contact(rewarded), Variant("sums", what, sums)]
+        if set(trained) != {"teacher"}:
+            found += [
                 Variant(
                     f"future-{n}", f"{n} future frames instead of 6", args=(("future_frames", n),)
                 )
                 for n in FUTURES
-            ),
-            Variant("headset-only", "the controllers", args=(("sensors", "H"),)),
-            Variant("no-scale", without, _without_scale(whole)),
-        )
+            ]
+            found.append(Variant("headset-only", "the controllers", args=(("sensors", "H"),)))
+        without = "the stature and bone lengths of the avatar in the observation"
+        return (*found, Variant("no-scale", without, _without_scale(trained)))
 
     def train(self, options: dict[str, Any]) -> int:
         """See ``Ablated``."""
-        return train(TrainArgs(**options))
+        return train(TrainArgs(**options, stage=self._stage, teacher=self._teacher))
 
     def score(
         self, folder: Path, variant: Variant, motions: Sequence[Motion], seed: int
@@ -199,9 +221,9 @@ def _sums(name: str, stage: StageConfig) -> list[str]:
     return [f"stages.{name}.reward.{n}={json.dumps(getattr(kernels, n))}" for n in names]
 
 
-def _without_scale(preset: Preset) -> tuple[str, ...]:
+def _without_scale(stages: Mapping[str, StageConfig]) -> tuple[str, ...]:
     found = []
-    for name, stage in preset.stages.items():
+    for name, stage in stages.items():
         for side in ("actor_blocks", "critic_blocks"):
             blocks = getattr(stage.policy, side)
             if "o_scale" in blocks:

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import torch
 
-from agents.comparison.ablated import ablated
+from agents.comparison.ablated import Ablated, ablated
 from agents.comparison.ablation_report import Result, table, write
 from agents.comparison.compare import at_sensor_rate
 from agents.comparison.options import AblationsArgs
@@ -62,12 +62,14 @@ def ablations(args: AblationsArgs) -> int:
     out, variants = _checked(args)
     motions = at_sensor_rate(load_recordings(args.test, seed=args.seed), args.max_clips)
     without_styles(motions, args.hold_out)
+    if args.hold_out:  # before the full system is trained
+        without_styles(load_recordings(args.motions, seed=args.seed), args.hold_out)
     data = motions_record(args.test, motions)
     there = out.exists()
     if args.resume:
         check_same_run(read_run(out), args, data, MAY_DIFFER_ON_RESUME, out)
     else:
-        start_run(out, args, ablated(args.agent).preset(args.preset, ()), data)
+        start_run(out, args, _family(args).preset(args.preset, ()), data)
     results = []
     try:
         _on_workers(args, variants, out, motions)
@@ -77,13 +79,15 @@ def ablations(args: AblationsArgs) -> int:
                 if code:
                     print(f"stopped; continue with the same command and --resume, --out {out}")
                     return code
-            results.append(_result(args.agent, variant, out))
+            results.append(_result(_family(args), variant, out))
     except InputError:
         _leave_nothing(out, there)
         raise
     context = {
         "agent": args.agent,
         "preset": args.preset,
+        "stage": args.stage,
+        "teacher": args.teacher and str(args.teacher),
         "motions": args.motions,
         "minutes": args.minutes,
         "steps": args.steps,
@@ -101,9 +105,13 @@ def ablations(args: AblationsArgs) -> int:
     return 0
 
 
+def _family(args: AblationsArgs) -> Ablated:
+    return ablated(args.agent, args.stage, args.teacher)
+
+
 def _checked(args: AblationsArgs) -> tuple[Path, list[Variant]]:
     """The folder, and the full system with the requested variants."""
-    family = ablated(args.agent)
+    family = _family(args)
     if args.out is None:
         raise InputError("is missing", "--out", "add --out DIR")
     if args.minutes is None and args.steps is None:
@@ -113,10 +121,17 @@ def _checked(args: AblationsArgs) -> tuple[Path, list[Variant]]:
     at_least(1, steps=args.steps, threads=args.threads, max_clips=args.max_clips)
     at_least(0, seed=args.seed)
     at_least(1, seeds=args.seeds)
-    known = {v.name: v for v in (*_repeated(args), *family.variants(args.preset))}
+    repeated = _repeated(args)
+    known = {v.name: v for v in (*repeated, *family.variants(args.preset))}
     for name in args.variants:
         if name not in known:
             raise InputError(f"there is no {name!r}", "--variants", f"known: {', '.join(known)}")
+    for variant in repeated if args.variants else ():
+        done = args.resume and (args.out / variant.name / SCORES).exists()
+        if variant.name not in args.variants and not done:
+            option = "--hold-out" if variant.name == HELD_OUT else "--seeds"
+            what = f"trains {variant.name}, which --variants leaves out"
+            raise InputError(what, option, f"add {variant.name} to --variants, or leave it out")
     if not args.resume:
         refuse_existing(args.out)
     full = Variant(FULL, "the whole system")
@@ -152,7 +167,7 @@ def _train(args: AblationsArgs, variant: Variant, folder: Path) -> int:
         "set": (*args.set, *variant.set),
         **dict(variant.args),
     }
-    return ablated(args.agent).train(options)
+    return _family(args).train(options)
 
 
 def _on_workers(
@@ -207,7 +222,7 @@ def _leave_nothing(out: Path, there: bool) -> None:
 def _score(args: AblationsArgs, variant: Variant, out: Path, motions: Sequence[Motion]) -> None:
     """Reconstruct all motions and write the rows into the variant's folder."""
     weights = out / (FULL if variant.options else variant.name)
-    family = ablated(args.agent)
+    family = _family(args)
     found = family.score(weights, variant, motions, args.seed)
     if args.hold_out:
         held = without_styles(motions, args.hold_out)[1]
@@ -220,7 +235,7 @@ def _score(args: AblationsArgs, variant: Variant, out: Path, motions: Sequence[M
         path.write_text(json.dumps([vars(row) for row in rows], indent=1) + "\n", encoding="utf-8")
 
 
-def _result(agent: str, variant: Variant, out: Path) -> Result:
+def _result(family: Ablated, variant: Variant, out: Path) -> Result:
     """Read the results written by ``_score`` and by the training.
 
     Raises:
@@ -232,7 +247,7 @@ def _result(agent: str, variant: Variant, out: Path) -> Result:
     except (ValueError, TypeError) as error:
         raise InputError("is damaged", path, "remove it and resume") from error
     run_folder = out / (FULL if variant.options else variant.name)
-    training = ablated(agent).trained(run_folder)
+    training = family.trained(run_folder)
     return Result(
         variant.name, variant.what, variant.set, dict(variant.options), training, rows,
         dict(variant.args),

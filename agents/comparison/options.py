@@ -87,6 +87,10 @@ class AblationsArgs:
     """Gradient steps of each stage of each training, instead of or in addition to --minutes."""
     preset: Literal["cpu", "paper", "smoke"] = "cpu"
     """Network sizes and training settings, as in train.py."""
+    stage: Literal["all", "teacher", "student", "ppo"] = "all"
+    """With --agent questsim: train only this stage, as in train.py."""
+    teacher: Path | None = None
+    """With --stage student: the teacher of all variants, a folder or a shipped name."""
     variants: tuple[str, ...] = ()
     """Run only these variants; by default all."""
     max_clips: int | None = None
