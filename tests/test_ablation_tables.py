@@ -9,12 +9,13 @@ from docs.figures.ablation_tables import KEPT, PAGE, described, table_of, unseen
 from questsim.errors import InputError
 
 
-def report(agent: str = "sparseposer") -> dict:
+def report() -> dict:
     scenarios = ("6", "6; old")
     values = {"full": (1.0, 2.0), "held-out": (1.5, 5.0)}
     training = {"generator": {"steps": 1000, "minutes": 3.0}, "ik": {"steps": 20, "minutes": 1.0}}
     return {
-        "agent": agent, "preset": "cpu", "motions": "a", "minutes": None, "steps": 1000, "seed": 0,
+        "agent": "sparseposer", "preset": "cpu", "stage": "all", "teacher": None,
+        "motions": "a", "minutes": None, "steps": 1000, "seed": 0,
         "seeds": 1, "hold_out": "old", "set": [], "test": "b", "clips": 7,
         "variants": [{"name": n, "what": "", "training": training} for n in values],
         "rows": [
@@ -37,6 +38,38 @@ def test_differences_are_from_the_whole_system_and_unseen_clips_have_a_column() 
     assert lines[3] == "| `held-out` | 1.50 (+0.50) | 5.00 (+3.00) | 1,000 + 20 |"
     assert "styles old." in described(report()) and "1,000 steps a stage" in described(report())
     assert unseen({"sparseposer": report()}) == [("sparseposer", "6", "pos_cm", 2.0, 5.0)]
+
+
+def test_one_stage_of_questsim_has_a_place_of_its_own_and_few_figures_of_unseen_clips(
+    tmp_path, monkeypatch
+) -> None:
+    own = report()
+    figures = {"success_percent": 90.0, "mpjpe_cm": 3.0, "jitter_100_m_s3": 1.0,
+               "foot_skate_cm_s": 2.0}  # fmt: skip
+    rows = [
+        {"variant": name, "scenario": where, "clips": 7, "pooled": figures}
+        for name in ("full", "held-out")
+        for where in ("from the user's state", "from the user's state; old")
+    ]
+    context = {k: own[k] for k in ablation_tables.CONTEXT} | {
+        "agent": "questsim", "stage": "student", "teacher": "tracker",
+        "data": {"motions": "b", "clips": 7},
+    }  # fmt: skip
+    whole = {"schema": "questsim-ablations", "version": 1, "context": context,
+             "variants": own["variants"], "rows": rows}  # fmt: skip
+    (tmp_path / "ablations.json").write_text(json.dumps(whole))
+    (tmp_path / "page.md").write_text("<!-- ablations: questsim-student -->\n<!-- end -->\n")
+    for name, file in (("KEPT", "kept.json"), ("PAGE", "page.md"), ("PICTURE", "picture.png")):
+        monkeypatch.setattr(ablation_tables, name, tmp_path / file)
+    monkeypatch.setattr("sys.argv", ["", "--write", str(tmp_path / "ablations.json")])
+    ablation_tables.main()
+    page = (tmp_path / "page.md").read_text().splitlines()
+    assert page[2].startswith("Stage `student` alone, taught by `tracker`. Each trained on")
+    assert page[4] == (
+        "| variant | success (%) | MPJPE (cm) | jitter (100 m/s³) | skate (cm/s) | "
+        "success (%) *unseen* | MPJPE (cm) *unseen* | steps |"
+    )
+    assert page[7].startswith("| `held-out` | 90.00 (+0.00) | 3.00 (+0.00) |")
 
 
 def test_a_named_report_replaces_the_kept_one_of_its_agent(tmp_path, monkeypatch, capsys) -> None:

@@ -533,7 +533,8 @@ def test_styles_that_the_training_lacks_are_refused_before_the_full_system_is_tr
     save_library(training, [replace(MOTION, name="o", style="old")], [])
     trained = []
     monkeypatch.setattr("agents.comparison.ablated.train_system", lambda _: trained.append(1) or 0)
-    args = replace(arguments("lgsik", library, tmp_path / "out", hold_out="young"), motions=str(training))
+    args = arguments("lgsik", library, tmp_path / "out", hold_out="young")
+    args = replace(args, motions=str(training))
     with pytest.raises(InputError, match="no clip has style 'young'"):
         ablations(args)
     assert not trained and not (tmp_path / "out").exists()
@@ -566,18 +567,6 @@ def test_ablations_stopped_during_a_training_can_be_continued(library, tmp_path,
         (["--agent", "lgsik", "--out", "OUT", "--steps", "1", "--resume"], "no run to resume"),
         (["--agent", "lgsik", "--out", "OUT", "--steps", "1", "--seeds", "0"], "--seeds: is 0"),
         (["--agent", "lgsik", "--out", "OUT", "--steps", "1", "--hold-out", "x"], "style 'x'"),
-        ([*"--agent lgsik --out OUT --steps 1 --seeds 2 --variants no-graph".split()],
-         "--seeds: trains seed-1, which --variants leaves out; add seed-1 to --variants"),
-        ([*"--agent lgsik --out OUT --steps 1 --hold-out old --variants no-graph".split()],
-         "--hold-out: trains held-out, which --variants leaves out"),
-        ([*"--agent lgsik --out OUT --steps 1 --stage teacher".split()],
-         "--stage: is for questsim; leave it out"),
-        ([*"--agent questsim --out OUT --steps 1 --stage student".split()], "add e.g. --teacher"),
-        ([*"--agent questsim --out OUT --steps 1 --teacher tracker".split()],
-         "--teacher: is for the stage that learns from a teacher; add --stage student"),
-        ([*"--agent questsim --out OUT --steps 1 --stage teacher --variants future-0".split()],
-         "there is no 'future-0'"),
-        ([*"--agent questsim --out OUT --steps 1 --stage ppo".split()], "has no stage 'ppo'"),
     ],
 )
 def test_ablations_that_cannot_run_are_refused_in_one_line_and_leave_no_files(
@@ -588,6 +577,33 @@ def test_ablations_that_cannot_run_are_refused_in_one_line_and_leave_no_files(
     for option in ("--test", "--motions"):
         words += [] if option in words else [option, library]
     assert main(["ablations", *words]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("error: ") and told.count("\n") == 1 and message in told
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("--agent lgsik --seeds 2 --variants no-graph",
+         "--seeds: trains seed-1, which --variants leaves out; add seed-1 to --variants"),
+        ("--agent lgsik --hold-out old --variants no-graph",
+         "--hold-out: trains held-out, which --variants leaves out"),
+        ("--agent lgsik --stage teacher", "--stage: is for questsim; leave it out"),
+        ("--agent questsim --stage student", "add e.g. --teacher"),
+        ("--agent questsim --teacher tracker",
+         "--teacher: is for the stage that learns from a teacher; add --stage student"),
+        ("--agent questsim --stage teacher --variants future-0", "there is no 'future-0'"),
+        ("--agent questsim --stage ppo", "has no stage 'ppo'"),
+    ],
+)  # fmt: skip
+def test_options_of_ablations_that_would_do_nothing_are_refused(
+    line, message, library, tmp_path, capsys
+):
+    save_library(library, [replace(MOTION, name="o", style="old"), MOTION], [to_clip(MOTION)])
+    out = tmp_path / "out"
+    words = ["--steps", "1", "--motions", library, "--test", library, "--out", str(out)]
+    assert main(["ablations", *line.split(), *words]) == 2
     told = capsys.readouterr().err
     assert told.startswith("error: ") and told.count("\n") == 1 and message in told
     assert not out.exists()

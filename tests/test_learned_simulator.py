@@ -4,6 +4,7 @@ import csv
 from typing import Any
 
 import numpy as np
+import pytest
 import torch
 
 from docs.figures.learned_simulator import (
@@ -20,6 +21,7 @@ from docs.figures.learned_simulator import (
     rotation,
 )
 from questsim import rotations as rot
+from questsim.errors import InputError
 from tests.helpers import swaying_clip
 
 SMALL: dict[str, Any] = {
@@ -78,3 +80,8 @@ def test_the_trial_writes_its_curve(tmp_path, monkeypatch) -> None:
     with (tmp_path / "curve.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert float(rows[-1]["tracked_percent"]) in (0.0, 100.0) and rows[-1]["steps"] == "48"
+
+
+def test_the_picture_goes_with_no_other_option() -> None:
+    with pytest.raises(InputError, match="--picture: trains nothing"):
+        main(Args(picture=True, minutes=3.0))

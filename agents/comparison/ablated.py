@@ -29,6 +29,8 @@ from questsim.reward import PAPER_REWARD, summed
 
 QUESTSIM = "questsim"
 """Name of the torque policy in the command."""
+TRUE_START = "from the user's state"
+"""Its scenario in the tables."""
 PolicyStage = Literal["all", "teacher", "student", "ppo"]
 FUTURES = (3, 1, 0)
 """Future frames of the variants; the full policy observes 6."""
@@ -144,7 +146,8 @@ class PolicyAblated:
     """
 
     def __init__(self, stage: PolicyStage, teacher: Path | None) -> None:
-        self._stage, self._teacher = stage, teacher
+        self._stage: PolicyStage = stage
+        self._teacher = teacher
 
     figures: Sequence[str] = (
         "success_percent", "mpjpe_cm", "h_pe_cm", "world_cm", "jitter_100_m_s3", "foot_skate_cm_s",
@@ -193,7 +196,7 @@ class PolicyAblated:
         ((_, summaries),) = simulated(plan, jobs, 1, map, {})
         (cost,) = plan_costs(plan, motions, None)
         # One name for all, whatever the sensors: they are compared with each other.
-        return [row_of("", "from the user's state", summaries, cost)]
+        return [row_of("", TRUE_START, summaries, cost)]
 
     def trained(self, folder: Path) -> dict[str, dict[str, float]]:
         """See ``Ablated``."""

@@ -4,7 +4,8 @@
 
 Prints the tables of the reports that ``ablations.json`` in this folder keeps. Named reports replace
 those of the same agents; ``--write`` keeps them, replaces the tables in the page, between
-``<!-- ablations: AGENT -->`` and ``<!-- end -->``, and draws the picture of performers never seen.
+``<!-- ablations: AGENT -->`` (``AGENT-STAGE`` for one stage of a policy) and ``<!-- end -->``, and
+draws the picture of performers never seen.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.comparison.ablated import QUESTSIM, ablated
+from agents.comparison.ablated import QUESTSIM, TRUE_START, ablated
 from agents.comparison.ablation_report import SCHEMA, SCHEMA_VERSION, cell, steps_of
 from agents.comparison.ablations import FULL, HELD_OUT
 from agents.comparison.report import LABELS
@@ -32,7 +33,10 @@ HERE = Path(__file__).parent
 KEPT = HERE / "ablations.json"
 PAGE = HERE.parent / "ablations.md"
 PICTURE = HERE.parent / "images" / "unseen-performer.png"
-CONTEXT = ("preset", "motions", "minutes", "steps", "seed", "seeds", "hold_out", "set")
+CONTEXT = (
+    "preset", "stage", "teacher", "motions", "minutes", "steps", "seed", "seeds", "hold_out", "set",
+)  # fmt: skip
+POLICY_FIGURES = ("success_percent", "mpjpe_cm", "jitter_100_m_s3", "foot_skate_cm_s")
 
 Report = dict[str, Any]
 
@@ -42,7 +46,10 @@ def main() -> None:
     kept: dict[str, Report] = json.loads(KEPT.read_text("utf-8")) if KEPT.exists() else {}
     for name in (word for word in sys.argv[1:] if word != "--write"):
         found = read_report(Path(name), SCHEMA, SCHEMA_VERSION, "ablations", "ablations.json")
-        kept[found["context"]["agent"]] = shortened(found)
+        context = found["context"]
+        stage = context.get("stage", "all")
+        suffix = "" if stage == "all" else f"-{stage}"
+        kept[f"{context['agent']}{suffix}"] = shortened(found)
     if "--write" not in sys.argv:
         print("\n\n".join(f"{agent}\n\n{table_of(report)}" for agent, report in kept.items()))
         return
@@ -60,7 +67,7 @@ def shortened(report: Report) -> Report:
     names = _figures(context["agent"])
     return {
         "agent": context["agent"],
-        **{name: context[name] for name in CONTEXT},
+        **{name: context[name] for name in CONTEXT if name in context},
         "test": context["data"]["motions"],
         "clips": context["data"]["clips"],
         "variants": [{n: v[n] for n in ("name", "what", "training")} for v in report["variants"]],
@@ -77,9 +84,10 @@ def shortened(report: Report) -> Report:
 
 
 def _figures(agent: str) -> Sequence[str]:
-    """The first figures of the agent's table: success and MPJPE of a policy, else an error."""
-    own = ablated(agent).figures
-    return own[:2] if agent == QUESTSIM else [n for n in own if n in ("mpjpe_cm", "pos_cm")][:1]
+    """Of a policy ``POLICY_FIGURES``, else the error, MPJPE or pos."""
+    if agent == QUESTSIM:
+        return POLICY_FIGURES
+    return [n for n in ablated(agent).figures if n in ("mpjpe_cm", "pos_cm")][:1]
 
 
 def written(text: str, kept: Mapping[str, Report]) -> str:
@@ -96,20 +104,28 @@ def described(report: Report) -> str:
     )
     held = report["hold_out"].replace(",", " and ")
     styles = f"; *unseen* are its clips of the styles {held}" if held else ""
+    stage = ""
+    if report.get("stage", "all") != "all":
+        taught = f", taught by `{report['teacher']}`" if report["teacher"] else ""
+        stage = f"Stage `{report['stage']}` alone{taught}. "
+    where = f"{report['clips']} clips of `{report['test']}`{styles}"
     return (
-        f"Each trained on `{report['motions']}` for {budget}, scored on {report['clips']} clips of "
-        f"`{report['test']}`{styles}.\n\n{table_of(report)}"
+        f"{stage}Each trained on `{report['motions']}` for {budget}, scored on {where}.\n\n"
+        f"{table_of(report)}"
     )
 
 
 def table_of(report: Report) -> str:
     """A line for each variant; in brackets what differs from the whole system."""
-    names = _figures(report["agent"])
+    names, suffix = _figures(report["agent"]), f"; {report['hold_out']}"
     scenarios = list(dict.fromkeys(row["scenario"] for row in report["rows"]))
     there = {(row["variant"], row["scenario"]): row for row in report["rows"]}
-    columns = [(name, scenario) for scenario in scenarios for name in names]
-    suffix = f"; {report['hold_out']}"
-    head = [f"{LABELS[name]}, {s.replace(suffix, ' *unseen*')}" for name, s in columns]
+    few = names[:2]  # on unseen clips
+    columns = [(n, s) for s in scenarios for n in (few if s.endswith(suffix) else names)]
+    head = [
+        f"{LABELS[name]}, {s.replace(suffix, ' *unseen*')}".replace(f", {TRUE_START}", "")
+        for name, s in columns
+    ]
     lines = [f"| variant | {' | '.join(head)} | steps |", "|---" * (len(columns) + 2) + "|"]
     for variant in report["variants"]:
         cells = []
@@ -131,7 +147,7 @@ def unseen(kept: Mapping[str, Report]) -> list[tuple[str, str, str, float, float
         rows = {(row["variant"], row["scenario"]): row for row in report["rows"]}
         for (variant, scenario), row in rows.items():
             if variant == HELD_OUT and scenario.endswith(f"; {report['hold_out']}"):
-                name = _figures(agent)[-1]
+                name = next(n for n in _figures(report["agent"]) if n in ("mpjpe_cm", "pos_cm"))
                 known = rows[FULL, scenario][name]
                 found.append((agent, scenario.split(";")[0], name, known, row[name]))
     return found

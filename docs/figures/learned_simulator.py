@@ -39,6 +39,7 @@ from envs.config import EnvConfig
 from envs.core import BatchSim
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.differentiable import heading_matrix, quat_to_matrix
+from questsim.errors import InputError
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.spec import load_motions
 from questsim.plots import figure_file
@@ -388,6 +389,8 @@ def draw() -> None:
 def main(args: Args) -> None:
     """Train, and print the curve."""
     if args.picture:
+        if args != Args(picture=True):
+            raise InputError("trains nothing", "--picture", "give it without other options")
         draw()
         return
     torch.set_num_threads(args.threads)
