@@ -38,6 +38,7 @@ from agents.kinematic.switches import switches
 from agents.kinematic.training import train_system
 from agents.kinematic.training_faults import EXACT, drawn
 from agents.overrides import with_overrides
+from agents.policy.checkpoint import find_policy, load_policy
 from questsim.cli import main
 from questsim.errors import InputError
 from questsim.joint_sensors import readings
@@ -670,14 +671,18 @@ def test_one_stage_of_questsim_has_the_variants_that_change_it(library, tmp_path
              "stages.student.learning.minibatch=8")  # fmt: skip
     args = arguments(
         "questsim", library, tmp_path / "out", preset="cpu", stage="student", steps=32, set=small,
-        teacher=Path("tracker"), variants=("future-0",),
+        teacher=Path("tracker"), variants=("future-0", "no-scale"),
     )  # fmt: skip
     assert ablations(args) == 0
     report = json.loads((tmp_path / "out" / "ablations.json").read_text())
     assert (report["context"]["stage"], report["context"]["teacher"]) == ("student", "tracker")
-    assert [list(variant["training"]) for variant in report["variants"]] == [["student"]] * 2
-    full, now = report["rows"]
-    assert now["parameters"] < full["parameters"]
+    assert [list(variant["training"]) for variant in report["variants"]] == [["student"]] * 3
+    full, now, without_scale = report["rows"]
+    assert now["parameters"] < without_scale["parameters"] < full["parameters"]
+    # The network does not observe the stature; its balance term does.
+    policy = load_policy(find_policy(tmp_path / "out" / "no-scale")).policy
+    assert policy.spec.actor_blocks == ("o_sim", "o_user") and policy.spec.balance == "feet"
+    assert "o_scale" in policy.layout.blocks
 
 
 def test_a_reward_of_sums_has_the_published_formula():

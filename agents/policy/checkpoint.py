@@ -74,7 +74,7 @@ def describe(policy: TorquePolicy, needs: Needs) -> dict[str, Any]:
     """The contents of ``policy.yaml`` without the training record."""
     spec = asdict(policy.spec)
     del spec["critic_blocks"]
-    layout, avatar = policy.layout.within(policy.spec.actor_blocks), avatar_of(needs.body)
+    layout, avatar = policy.layout.within(policy.spec.read_blocks), avatar_of(needs.body)
     return {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,

@@ -78,6 +78,12 @@ class PolicySpec:
             what = "a policy cannot read 'o_teacher', which only its training has, for the teacher"
             raise InputError(what, "PolicySpec", "use 'o_user'")
 
+    @property
+    def read_blocks(self) -> tuple[str, ...]:
+        """Blocks that actions depend on: the actor's, and the stature for the balance term."""
+        stature = ("o_scale",) if self.balance != "none" else ()
+        return tuple(dict.fromkeys((*self.actor_blocks, *stature)))
+
 
 @dataclass(frozen=True)
 class Layout:

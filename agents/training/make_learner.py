@@ -94,7 +94,7 @@ def _student(
     say: Callable[[str], None],
 ) -> Dagger:
     teacher = load_teacher(args.teacher or args.out / "teacher", env, "--teacher")
-    sparse = Layout.of(env.layout).within(config.policy.actor_blocks)
+    sparse = Layout.of(env.layout).within(config.policy.read_blocks)
     hinges = len(env.avatar.dofs)
     student = new_policy(config.policy, sparse, learning.learning_rate, hinges)
     # With several stages, --start initialises the teacher.
