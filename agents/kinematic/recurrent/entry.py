@@ -104,8 +104,9 @@ HMDPOSER = _entry(
         ),
         Variant(
             "no-joint-loss",
-            "the loss has no term for joint positions (HMD-Poser)",
-            set=("stages.network.weights.joints=0",),
+            # Bones are learnt from joint positions alone: without them no shape can be estimated.
+            "the loss has no term for joint positions; all users have the mean body (HMD-Poser)",
+            set=("stages.network.weights.joints=0", "spec.shape_head=false"),
         ),
         Variant(
             "no-global-loss",
