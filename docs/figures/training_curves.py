@@ -59,6 +59,12 @@ FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
         ("wider, now", "questsim-now, student of questsim"),
         ("wider, now, of two", "questsim-now, one student of two"),
     ),
+    "training-steps.png": (
+        ("steps, PPO from the head", "specialist: PPO from the head alone"),
+        ("steps, PPO from D", "PPO from D, real walks, too"),
+        ("steps, E", "E: one tracker of D and the specialist"),
+        ("steps, student", "student of E, steps alone"),
+    ),
     "training-estimates.png": (
         ("shown estimates", "before: shown estimates of HMD-Poser and LGSIK-Poser"),
         ("shown estimates, again", "of ik and DragPoser, and recordings, too"),
