@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -55,6 +55,17 @@ class RunningNorm(nn.Module):
         self.register_buffer("mean", torch.zeros(size))
         self.register_buffer("var", torch.ones(size))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+        self.held: Tensor | None = None
+
+    def hold(self) -> None:
+        """From now on, keep the statistics of all inputs that have varied so far.
+
+        A network that is trained further would be another function with other statistics: in a
+        trial, avatars of a good tracker fell more often before its weights had changed at all.
+        Inputs that were constant, like the stature in a training of one body, get statistics yet.
+        """
+        if self.count.item() > 0:
+            self.held = self.var.sqrt() > MIN_STD
 
     def forward(self, x: Tensor) -> Tensor:
         """Normalise ``x`` ``(n, size)``."""
@@ -71,8 +82,11 @@ class RunningNorm(nn.Module):
         total = self.count + rows
         share = (rows / total).item()
         delta = mean - self.mean
+        new_var = (1 - share) * self.var + share * var + share * (1 - share) * delta**2
+        if self.held is not None:
+            delta, new_var = delta.masked_fill(self.held, 0.0), self.var.where(self.held, new_var)
         self.mean += share * delta
-        self.var.copy_((1 - share) * self.var + share * var + share * (1 - share) * delta**2)
+        self.var.copy_(new_var)
         self.count.copy_(total)
 
 
@@ -344,6 +358,17 @@ class TorquePolicy(ActorCriticPolicy):
             for network in networks:
                 columns = network.columns
                 network.norm.merge(len(obs), mean[columns], var[columns])
+
+    def held_inputs(self) -> dict[str, Tensor]:
+        """Which inputs keep their statistics, by network; see ``RunningNorm.hold``."""
+        networks = {"actor": self.actor, "critic": self.critic}
+        norms = {name: network.norm for name, network in networks.items() if network is not None}
+        return {name: norm.held for name, norm in norms.items() if norm.held is not None}
+
+    def hold_inputs(self, held: Mapping[str, Tensor]) -> None:
+        """Take over the result of ``held_inputs``."""
+        for name, mask in held.items():
+            getattr(self, name).norm.held = mask
 
     def predict_batch(self, obs: np.ndarray) -> np.ndarray:
         """Deterministic actions ``(n, 33)`` in [-1, 1] for observations ``(n, D)``."""

@@ -202,6 +202,7 @@ class Dagger:
         return {
             "steps": self.num_timesteps,
             "policy": self.policy.state_dict(),
+            "held": self.policy.held_inputs(),
             "optimizer": self.policy.optimizer.state_dict(),
             "generator": self.generator.get_state(),
             "player": self.player.get_state(),
@@ -211,6 +212,7 @@ class Dagger:
         """Continue from ``state_dict``."""
         self.num_timesteps = state["steps"]
         self.policy.load_state_dict(state["policy"])
+        self.policy.hold_inputs(state.get("held", {}))
         self.policy.optimizer.load_state_dict(state["optimizer"])
         self.generator.set_state(state["generator"])
         self.player.set_state(state["player"])

@@ -344,6 +344,7 @@ class AdaptivePPO(PPO):
         critic = self.policy.critic_optimizer
         return {
             "policy": self.policy.state_dict(),
+            "held": self.policy.held_inputs(),
             "optimizer": self.policy.optimizer.state_dict(),
             "critic_optimizer": critic.state_dict() if critic is not None else {},
             "actor_rate": self.actor_rate,
@@ -355,6 +356,7 @@ class AdaptivePPO(PPO):
         """Take over an ``update_state``."""
         self._n_updates = state["updates"]
         self.policy.load_state_dict(state["policy"])
+        self.policy.hold_inputs(state.get("held", {}))
         self.policy.optimizer.load_state_dict(state["optimizer"])
         if self.policy.critic_optimizer is not None:
             self.policy.critic_optimizer.load_state_dict(state["critic_optimizer"])

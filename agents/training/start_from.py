@@ -72,6 +72,8 @@ def _start_of(name: str, args: TrainArgs) -> Path | None:
 def copy_actor(source: TorquePolicy, target: TorquePolicy, where: Path | str) -> None:
     """Copy the actor, its normaliser, the noise and the head of ``source``, but no critic.
 
+    The normaliser keeps its statistics in the training (``RunningNorm.hold``).
+
     Terms that only the target's head has keep their start values; so do gains that have another
     meaning there, see ``copy_head``. The actor's outputs for such terms begin at zero. Layers may
     be wider in the target: its actor has the same outputs at first, see ``_grow``.
@@ -98,6 +100,7 @@ def copy_actor(source: TorquePolicy, target: TorquePolicy, where: Path | str) ->
     if not fits or (source.head is None) != (target.head is None):
         raise InputError("its networks do not fit this preset's", where, SAME_PRESET)
     copy_head(source, target)
+    target.actor.norm.hold()
 
 
 def copy_head(source: TorquePolicy, target: TorquePolicy) -> None:
@@ -186,6 +189,8 @@ def take_critic(
     """
     if has_critic(folder):
         load_critic(folder, policy)
+        assert policy.critic is not None
+        policy.critic.norm.hold()
         return
     if learning.critic_warmup_steps == 0:
         fix = "set stages.teacher.learning.critic_warmup_steps, so that a new critic learns first"
