@@ -48,6 +48,36 @@ def test_new_units_learn_from_the_first_step_and_each_differently():
     assert len(torch.unique(parameters["actor.layers.0.weight"][8:], dim=0)) == 8
 
 
+def test_a_policy_that_is_trained_further_is_the_same_function_of_other_observations():
+    """With statistics of the new motions it would be another one before it learnt anything."""
+    old, new = policy(8, 6), policy(8, 6)
+    constant = old.actor.columns[5]
+    seen = observations(old)
+    seen[:, constant] = 1.75
+    old.update_norm(seen)
+    copy_actor(old, new, "old")
+    before = new.action_mean(seen)
+    other = 3.0 + 5.0 * observations(old)
+    for _ in range(20):
+        new.update_norm(other)
+    statistics = new.actor.norm
+    assert statistics.mean[5].item() == pytest.approx(other[:, constant].mean().item(), abs=0.5)
+    kept = [column for column in range(len(statistics.mean)) if column != 5]
+    assert torch.equal(statistics.mean[kept], old.actor.norm.mean[kept])
+    assert torch.equal(statistics.var[kept], old.actor.norm.var[kept])
+    # The one input that was constant has statistics now, and no other changes the actions.
+    new.actor.norm.mean[5], new.actor.norm.var[5] = old.actor.norm.mean[5], old.actor.norm.var[5]
+    assert torch.equal(new.action_mean(seen), before)
+
+
+def test_a_policy_without_statistics_gets_those_of_its_training():
+    old, new = policy(8, 6), policy(8, 6)
+    copy_actor(old, new, "old")
+    new.update_norm(3.0 + observations(old))
+    assert new.actor.norm.mean.mean().item() == pytest.approx(3.0, abs=0.5)
+    assert new.held_inputs() == {}
+
+
 @pytest.mark.parametrize("hidden", [(6, 6), (8, 4), (8,), (8, 6, 6)])
 def test_a_narrower_or_deeper_policy_cannot_start_from_another(hidden):
     with pytest.raises(InputError, match="networks do not fit"):
