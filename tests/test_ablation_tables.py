@@ -25,6 +25,21 @@ def report() -> dict:
     }  # fmt: skip
 
 
+def page_with(place, kept, rows, tmp_path, monkeypatch) -> str:
+    """The page in which ``--write`` fills a place from a report with these rows."""
+    context = {k: kept[k] for k in ("agent", *ablation_tables.CONTEXT)}
+    context["data"] = {"motions": kept["test"], "clips": kept["clips"]}
+    whole = {"schema": "questsim-ablations", "version": 1, "context": context,
+             "variants": kept["variants"], "rows": rows}  # fmt: skip
+    (tmp_path / "ablations.json").write_text(json.dumps(whole))
+    (tmp_path / "page.md").write_text(f"a\n<!-- ablations: {place} -->\nold\n<!-- end -->\nb\n")
+    for name, file in (("KEPT", "kept.json"), ("PAGE", "page.md"), ("PICTURE", "picture.png")):
+        monkeypatch.setattr(ablation_tables, name, tmp_path / file)
+    monkeypatch.setattr("sys.argv", ["", "--write", str(tmp_path / "ablations.json")])
+    ablation_tables.main()
+    return (tmp_path / "page.md").read_text()
+
+
 def test_the_page_has_the_kept_tables() -> None:
     text = PAGE.read_text("utf-8")
     assert written(text, json.loads(KEPT.read_text("utf-8"))) == text
@@ -51,25 +66,14 @@ def test_one_stage_of_questsim_has_a_place_of_its_own_and_few_figures_of_unseen_
         for name in ("full", "held-out")
         for where in ("from the user's state", "from the user's state; old")
     ]
-    context = {k: own[k] for k in ablation_tables.CONTEXT} | {
-        "agent": "questsim", "stage": "student", "teacher": "tracker",
-        "data": {"motions": "b", "clips": 7},
-    }  # fmt: skip
-    whole = {"schema": "questsim-ablations", "version": 1, "context": context,
-             "variants": own["variants"], "rows": rows}  # fmt: skip
-    (tmp_path / "ablations.json").write_text(json.dumps(whole))
-    (tmp_path / "page.md").write_text("<!-- ablations: questsim-student -->\n<!-- end -->\n")
-    for name, file in (("KEPT", "kept.json"), ("PAGE", "page.md"), ("PICTURE", "picture.png")):
-        monkeypatch.setattr(ablation_tables, name, tmp_path / file)
-    monkeypatch.setattr("sys.argv", ["", "--write", str(tmp_path / "ablations.json")])
-    ablation_tables.main()
-    page = (tmp_path / "page.md").read_text().splitlines()
-    assert page[2].startswith("Stage `student` alone, taught by `tracker`. Each trained on")
-    assert page[4] == (
+    more = {"agent": "questsim", "stage": "student", "teacher": "tracker"}
+    page = page_with("questsim-student", own | more, rows, tmp_path, monkeypatch).splitlines()
+    assert page[3].startswith("Stage `student` alone, taught by `tracker`. Each trained on")
+    assert page[5] == (
         "| variant | success (%) | MPJPE (cm) | jitter (100 m/s³) | skate (cm/s) | "
         "success (%) *unseen* | MPJPE (cm) *unseen* | steps |"
     )
-    assert page[7].startswith("| `held-out` | 90.00 (+0.00) | 3.00 (+0.00) |")
+    assert page[8].startswith("| `held-out` | 90.00 (+0.00) | 3.00 (+0.00) |")
 
 
 def test_a_named_report_replaces_the_kept_one_of_its_agent(tmp_path, monkeypatch, capsys) -> None:
@@ -78,19 +82,8 @@ def test_a_named_report_replaces_the_kept_one_of_its_agent(tmp_path, monkeypatch
         {**{k: v for k, v in row.items() if k != "pos_cm"}, "pooled": {"pos_cm": row["pos_cm"]}}
         for row in own["rows"]
     ]
-    context = {k: own[k] for k in ablation_tables.CONTEXT} | {
-        "agent": "sparseposer", "data": {"motions": "b", "clips": 7},
-    }  # fmt: skip
-    whole = {"schema": "questsim-ablations", "version": 1, "context": context,
-             "variants": own["variants"], "rows": rows}  # fmt: skip
-    (tmp_path / "ablations.json").write_text(json.dumps(whole))
-    (tmp_path / "page.md").write_text("a\n<!-- ablations: sparseposer -->\nold\n<!-- end -->\nb\n")
-    for name, file in (("KEPT", "kept.json"), ("PAGE", "page.md"), ("PICTURE", "picture.png")):
-        monkeypatch.setattr(ablation_tables, name, tmp_path / file)
-    monkeypatch.setattr("sys.argv", ["", "--write", str(tmp_path / "ablations.json")])
-    ablation_tables.main()
+    page = page_with("sparseposer", own, rows, tmp_path, monkeypatch)
     assert json.loads((tmp_path / "kept.json").read_text()) == {"sparseposer": own}
-    page = (tmp_path / "page.md").read_text()
     assert table_of(own) in page and "old\n<!--" not in page and page.startswith("a\n")
     assert (tmp_path / "picture.png").stat().st_size > 1000
     (tmp_path / "kept.json").write_text("{}")

@@ -145,13 +145,13 @@ class PolicyAblated:
         teacher: of the stage ``student``.
     """
 
-    def __init__(self, stage: PolicyStage, teacher: Path | None) -> None:
-        self._stage: PolicyStage = stage
-        self._teacher = teacher
-
     figures: Sequence[str] = (
         "success_percent", "mpjpe_cm", "h_pe_cm", "world_cm", "jitter_100_m_s3", "foot_skate_cm_s",
     )  # fmt: skip
+
+    def __init__(self, stage: PolicyStage, teacher: Path | None) -> None:
+        self._stage: PolicyStage = stage
+        self._teacher = teacher
 
     def preset(self, name: str, assignments: Sequence[str]) -> Preset:
         """See ``Ablated``."""

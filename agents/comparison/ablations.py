@@ -62,7 +62,7 @@ def ablations(args: AblationsArgs) -> int:
     out, variants = _checked(args)
     motions = at_sensor_rate(load_recordings(args.test, seed=args.seed), args.max_clips)
     without_styles(motions, args.hold_out)
-    if args.hold_out:  # before the full system is trained
+    if args.hold_out and not (out / HELD_OUT / SCORES).exists():  # before anything is trained
         without_styles(load_recordings(args.motions, seed=args.seed), args.hold_out)
     data = motions_record(args.test, motions)
     there = out.exists()
