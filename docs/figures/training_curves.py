@@ -62,6 +62,7 @@ FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
     "training-steps.png": (
         ("steps, PPO from the head", "specialist: PPO from the head alone"),
         ("steps, PPO from D", "PPO from D, real walks, too"),
+        ("steps, PPO from E", "PPO from E, statistics kept, second part"),
         ("steps, E", "E: one tracker of D and the specialist"),
         ("steps, student", "student of E, steps alone"),
     ),
