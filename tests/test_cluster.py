@@ -24,7 +24,8 @@ from agents.kinematic.data import MotionBank
 from agents.kinematic.fit import Fit
 from agents.kinematic.registry import AGENTS
 from agents.kinematic.team import RayTeam, SharedStage, part_of
-from agents.policy.checkpoint import load_resume
+from agents.policy.checkpoint import load_policy, load_resume
+from agents.policy.networks import MIN_STD
 from agents.run_folder import versions
 from agents.training.make_ppo import make_ppo
 from agents.training.peers import PeerLostError, join
@@ -304,6 +305,25 @@ def test_train_py_trains_with_workers_and_goes_on_with_others(tmp_path, cluster,
     capsys.readouterr()
     assert main([*line.split(), "--steps", "96", "--resume"]) == 0
     assert "another number of workers: new episodes begin" in capsys.readouterr().out
+
+
+def test_workers_that_learn_keep_the_statistics_of_the_policy_they_start_from(tmp_path, cluster):
+    line = (
+        "train --preset smoke --stage teacher --envs 4 --threads 1 --steps 32"
+        " --workers 2 --gradients workers --set stages.teacher.learning.rollout_steps=4"
+        " stages.teacher.learning.minibatch=16 stages.teacher.learning.critic_warmup_steps=0"
+        " validation_clips=1"
+    ).split()
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert main([*line, "--motions", "synthetic:stand", "--out", str(first)]) == 0
+    start = ["--start", str(first), "--motions", "synthetic:jog", "--out", str(second)]
+    assert main([*line, *start]) == 0
+    old, new = (load_policy(folder / "teacher" / "last").policy.actor for folder in (first, second))
+    varied = old.norm.var.sqrt() > MIN_STD
+    assert 100 < varied.sum() < len(varied)
+    assert torch.equal(new.norm.mean[varied], old.norm.mean[varied])
+    assert not torch.equal(new.norm.mean[~varied], old.norm.mean[~varied])
+    assert not torch.equal(new.layers[0].weight, old.layers[0].weight)
 
 
 @pytest.fixture

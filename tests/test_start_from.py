@@ -13,8 +13,8 @@ from agents.policy.checkpoint import find_policy, load_policy, save_policy
 from agents.policy.policy_agent import new_policy
 from agents.policy.spec import SPARSE_BLOCKS, Layout, PolicySpec
 from agents.training.options import TrainArgs
-from agents.training.presets import preset_of
-from agents.training.start_from import copy_actor, with_layers_of_start
+from agents.training.presets import PPOConfig, preset_of
+from agents.training.start_from import copy_actor, take_critic, with_layers_of_start
 from envs.config import EnvConfig
 from envs.layout import observation_layout
 from questsim.errors import InputError
@@ -76,6 +76,19 @@ def test_a_policy_without_statistics_gets_those_of_its_training():
     new.update_norm(3.0 + observations(old))
     assert new.actor.norm.mean.mean().item() == pytest.approx(3.0, abs=0.5)
     assert new.held_inputs() == {}
+
+
+def test_a_critic_that_is_trained_further_keeps_its_statistics(tmp_path: Path) -> None:
+    layout = Layout.of(observation_layout(EnvConfig(privileged=True)))
+    spec = PolicySpec(hidden=(8, 6), critic_blocks=(*SPARSE_BLOCKS, "privileged"))
+    old, new = new_policy(spec, layout), new_policy(spec, layout)
+    old.update_norm(observations(old))
+    save_policy(tmp_path, old, Needs(), {})
+    take_critic(tmp_path, new, PPOConfig(), print)
+    assert old.critic is not None and new.critic is not None
+    new.update_norm(3.0 + 5.0 * observations(new))
+    assert torch.equal(new.critic.norm.mean, old.critic.norm.mean)
+    assert torch.equal(new.critic.norm.var, old.critic.norm.var)
 
 
 @pytest.mark.parametrize("hidden", [(6, 6), (8, 4), (8,), (8, 6, 6)])
