@@ -313,11 +313,11 @@ def test_workers_that_learn_keep_the_statistics_of_the_policy_they_start_from(tm
         " --workers 2 --gradients workers --set stages.teacher.learning.rollout_steps=4"
         " stages.teacher.learning.minibatch=16 stages.teacher.learning.critic_warmup_steps=0"
         " validation_clips=1"
-    ).split()
+    )
     first, second = tmp_path / "first", tmp_path / "second"
-    assert main([*line, "--motions", "synthetic:stand", "--out", str(first)]) == 0
+    assert main([*line.split(), "--motions", "synthetic:stand", "--out", str(first)]) == 0
     start = ["--start", str(first), "--motions", "synthetic:jog", "--out", str(second)]
-    assert main([*line, *start]) == 0
+    assert main([*line.split(), *start]) == 0
     old, new = (load_policy(folder / "teacher" / "last").policy.actor for folder in (first, second))
     varied = old.norm.var.sqrt() > MIN_STD
     assert 100 < varied.sum() < len(varied)
