@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from envs.reference import Reference
+from questsim.motion.clip import source_kind
 
 BIN_FRAMES = 36
 """Width of the bins of moments within a clip: one second."""
@@ -22,7 +23,8 @@ class Sampler:
         reference: the clips.
         weighted: whether falls raise the probability of a clip and a moment.
         by_kind: whether kinds of motion are drawn in proportion to the square root of their frames.
-            Then 20 clips of one kind still appear beside 400 of another.
+            Then 20 clips of one kind still appear beside 400 of another. Variations count as their
+            source's kind.
         tail: number of frames at a clip's end in which no episode begins.
         of_clip: ``(C,)`` group of each clip, if only the clips of a group are drawn.
     """
@@ -47,7 +49,8 @@ class Sampler:
         self._weighted = weighted
         self._amount = self._bin_frames.astype(float)
         if by_kind:
-            _, kind = np.unique(np.array(reference.kinds), return_inverse=True)
+            kinds = [source_kind(kind) for kind in reference.kinds]
+            _, kind = np.unique(kinds, return_inverse=True)
             kind_of_bin = kind[self._clip_of_bin]
             self._amount /= np.sqrt(np.bincount(kind_of_bin, self._amount))[kind_of_bin]
         self.clip_failure = np.full(len(bins), 0.5)

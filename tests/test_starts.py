@@ -81,6 +81,20 @@ def test_a_rare_kind_comes_more_often_than_its_frames():
     assert np.mean(clips == 16) == pytest.approx(0.2, abs=0.03)
 
 
+def test_variations_count_as_the_kind_that_they_vary():
+    """Else a fifth of variations, each of a kind of its own, would be half of the samples."""
+    from dataclasses import replace
+
+    changes = ("crouch", "bow", "reach", "crouch+reach")
+    varied = [replace(CLIPS[0], kind=f"walk+{change}") for change in changes]
+    walks = [replace(CLIPS[0], kind="walk") for _ in range(12)]
+    sim = BatchSim([*walks, *varied, replace(CLIPS[0], kind="bow")], EnvConfig(), 1)
+    numbers = np.random.default_rng(0).random((4000, 2))
+    clips, _ = Sampler(sim.reference, weighted=True, by_kind=True).draw(numbers)
+    assert np.mean(clips == 16) == pytest.approx(0.2, abs=0.03)
+    assert np.mean((clips >= 12) & (clips < 16)) == pytest.approx(0.2, abs=0.03)
+
+
 def test_a_still_start_has_the_references_pose_at_rest():
     sim = sim_with(Starts(still=1.0), fixed_start=False)
     assert not sim.qvel.any()

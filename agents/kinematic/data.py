@@ -15,6 +15,7 @@ from agents.run_folder import amounts
 from questsim import differentiable as diff
 from questsim.errors import InputError
 from questsim.joint_sensors import SENSOR_FPS
+from questsim.motion.clip import source_kind
 from questsim.motion.motion import Motion
 from questsim.proportions import leg_length, random_scales, scaled_offsets
 from questsim.skeleton import MIRROR_JOINTS
@@ -123,8 +124,11 @@ class MotionBank:
 
 
 def _by_kind(kinds: Sequence[str], starts: np.ndarray, power: float) -> np.ndarray:
-    """Factor on each recording's chance, so that a kind's is its number of starts to ``power``."""
-    _, kind = np.unique(kinds, return_inverse=True)
+    """Factor on each recording's chance, so that a kind's is its number of starts to ``power``.
+
+    Variations count as their source's kind.
+    """
+    _, kind = np.unique([source_kind(kind) for kind in kinds], return_inverse=True)
     return np.bincount(kind, weights=starts)[kind] ** (power - 1.0)
 
 

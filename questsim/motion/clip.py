@@ -12,6 +12,15 @@ FPS = 36.0
 """Frames a second of every clip and of the policy (QuestSim section 4)."""
 
 
+def source_kind(kind: str) -> str:
+    """The kind of motion that a variation varies: ``walk`` of ``walk+crouch+reach``.
+
+    Samplers that draw by kind count variations with it. With a kind for every combination of
+    changes, a quarter of variations among the clips would be more than half of the samples.
+    """
+    return kind.partition("+")[0]
+
+
 @dataclass(frozen=True)
 class Clip:
     """The avatar's reference motion at 36 Hz, z up, feet on the floor at z = 0.

@@ -15,7 +15,7 @@ import numpy as np
 
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
-from questsim.motion.clip import FPS, Clip
+from questsim.motion.clip import FPS, Clip, source_kind
 from questsim.motion.kinematics import clip_from_qpos
 from questsim.motion.synthesis.posture import drift
 from questsim.motion.synthesis.synthetic import SEATED
@@ -92,9 +92,9 @@ def vary(
 ) -> list[Clip]:
     """Random variations of clips.
 
-    Each kind of clip is drawn equally often. The kind of a variation joins its clip's kind and its
-    largest ingredient, e.g. ``"walk+crouch"``. It carries the licences of all clips that it
-    uses.
+    Each kind of clip is drawn equally often, variations as their source's. The kind of a variation
+    joins its clip's kind and its largest ingredient, e.g. ``"walk+crouch"``. It carries the
+    licences of all clips that it uses.
 
     Args:
         clips: the clips to vary. Clips shorter than 1 s or with a chair are left out.
@@ -160,7 +160,7 @@ class _Pool:
         self._seed = seed
         kinds: dict[str, list[int]] = defaultdict(list)
         for number, clip in enumerate(clips):
-            kinds[clip.kind].append(number)
+            kinds[source_kind(clip.kind)].append(number)
         self._kinds = [kinds[kind] for kind in sorted(kinds)]
         self._lacking: dict[int, tuple[float, float]] = {}
 
