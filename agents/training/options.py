@@ -42,8 +42,9 @@ class TrainArgs:
     """A teacher for the student stage: a folder or a shipped name; by default the run's own."""
     specialists: tuple[str, ...] = ()
     """With --stage student: teachers to ask instead of --teacher for clips of some kinds, each as
-    FOLDER:KIND+KIND; kinds may be patterns (runs/steps:backwards+side-*). FOLDER alone is asked for
-    the clips that it follows better than --teacher and the others do."""
+    FOLDER:KIND+KIND; kinds may be patterns (runs/steps:backwards+side-*), and their variations
+    belong to them. FOLDER alone is asked for the clips that it follows better than --teacher and
+    the others do."""
     start: Path | None = None
     """A teacher, by folder or shipped name, whose weights initialise the new teacher; with --stage
     student or finetune, a policy (a run, a stage, a shipped name) to train further."""

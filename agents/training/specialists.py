@@ -20,6 +20,7 @@ from agents.resolve import from_anywhere, policy_folder
 from envs import QuestVecEnv
 from envs.config import EnvConfig
 from questsim.errors import InputError
+from questsim.motion.clip import source_kind
 from questsim.sensors import sensor_set
 
 if TYPE_CHECKING:
@@ -121,12 +122,18 @@ def needs_of_teachers(args: TrainArgs) -> list[Needs]:
     return needs if args.teacher is not None else [*needs, Needs(privileged=True)]
 
 
+def _fits(kind: str, pattern: str) -> bool:
+    """Whether a pattern is for clips of a kind, or for those that they vary."""
+    return fnmatchcase(kind, pattern) or fnmatchcase(source_kind(kind), pattern)
+
+
 class Teachers:
     """Labels each avatar's state by the teacher of its clip.
 
     Args:
         general: the teacher of all clips without a specialist.
-        specialists: agents with the patterns of their kinds; the first that fits a kind counts. Of
+        specialists: agents with the patterns of their kinds, which also fit variations of these;
+            the first that fits a kind counts. Of
             the agents without patterns and the general teacher, each clip has the one with the
             highest mean reward over the clip.
         env: the training environment; its clips may change.
@@ -149,7 +156,7 @@ class Teachers:
         self._reference = env.sim.reference
         known = sorted(set(self._reference.kinds))
         for pattern in (pattern for kinds in self._kinds for pattern in kinds):
-            if not any(fnmatchcase(kind, pattern) for kind in known):
+            if not any(_fits(kind, pattern) for kind in known):
                 names = ", ".join(kind for kind in known if kind) or "none"
                 raise InputError(f"no clip is of a kind {pattern!r}", OPTION, f"there is {names}")
         self._teacher_of_clip = self._assign()
@@ -161,7 +168,7 @@ class Teachers:
     def _assign(self) -> np.ndarray:
         teacher = self._best_of_each_clip()
         for clip, kind in enumerate(self._reference.kinds):
-            fits = [any(fnmatchcase(kind, p) for p in kinds) for kinds in self._kinds]
+            fits = [any(_fits(kind, p) for p in kinds) for kinds in self._kinds]
             if kind and True in fits:
                 teacher[clip] = fits.index(True) + 1
         return teacher
