@@ -14,9 +14,10 @@ OURS = "MIT"
 def strictest(licences: Iterable[str]) -> str:
     """One SPDX identifier or expression for weights trained on motions with these licences.
 
-    If the licence of a motion is unknown, so is the licence of the weights.
+    A motion made of several has an expression, too. If the licence of a motion is unknown, so is
+    the licence of the weights.
     """
-    found = set(licences)
+    found = {part for licence in licences for part in licence.split(" AND ")}
     if not found or UNKNOWN in found:
         return UNKNOWN
     return " AND ".join(sorted(found - {OURS})) or OURS

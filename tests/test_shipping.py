@@ -291,6 +291,8 @@ def test_licence_of_weights_is_the_strictest_of_its_motions():
     assert strictest(["MIT", "CC-BY-NC-4.0"]) == "CC-BY-NC-4.0"
     assert strictest(["CC-BY-4.0", "MIT", "CC-BY-NC-4.0"]) == "CC-BY-4.0 AND CC-BY-NC-4.0"
     assert strictest(["MIT", "not stated"]) == "not stated"
+    mixed = ["CC-BY-NC-4.0", "CC-BY-NC-4.0 AND LicenseRef-CMU-MoCap", "LicenseRef-CMU-MoCap"]
+    assert strictest(mixed) == "CC-BY-NC-4.0 AND LicenseRef-CMU-MoCap"
     assert strictest([]) == "not stated"
     assert licence_of({"licence": "CC-BY-NC-4.0", "licences": {"MIT": 1}}) == "CC-BY-NC-4.0"
 
