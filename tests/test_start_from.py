@@ -14,7 +14,7 @@ from agents.policy.policy_agent import new_policy
 from agents.policy.spec import SPARSE_BLOCKS, Layout, PolicySpec
 from agents.training.options import TrainArgs
 from agents.training.presets import PPOConfig, preset_of
-from agents.training.start_from import copy_actor, take_critic, with_layers_of_start
+from agents.training.start_from import copy_actor, take_critic, with_networks_of_start
 from envs.config import EnvConfig
 from envs.layout import observation_layout
 from questsim.errors import InputError
@@ -99,7 +99,20 @@ def test_a_narrower_or_deeper_policy_cannot_start_from_another(hidden):
 
 def layers(args: TrainArgs, stage: str) -> tuple[int, ...]:
     preset = preset_of("cpu", args.estimates is not None)
-    return with_layers_of_start(preset, args, [stage]).stages[stage].policy.hidden
+    return with_networks_of_start(preset, args, [stage]).stages[stage].policy.hidden
+
+
+def test_a_stage_has_the_balance_of_its_start_unless_another_is_set(tmp_path: Path) -> None:
+    def balance(start: str, *words: str) -> str:
+        folder = tmp_path / start
+        save_policy(folder, policy(8, 6, balance=start), Needs(), {})
+        args = TrainArgs(out=tmp_path / "run", stage="student", start=folder, set=words)
+        stages = with_networks_of_start(preset_of("cpu"), args, ["student"]).stages
+        return stages["student"].policy.balance
+
+    assert balance("placement") == "placement"
+    assert balance("placement", "stages.student.policy.balance=feet") == "feet"
+    assert balance("none") == "feet"
 
 
 @pytest.mark.parametrize("stage", ["teacher", "student", "finetune"])
@@ -139,7 +152,7 @@ def test_every_shipped_policy_can_be_trained_further_with_the_plain_command(
 ) -> None:
     args = TrainArgs(out=tmp_path, stage=stage, start=Path(name), estimates=estimates)
     shipped = load_policy(find_policy(name))
-    preset = with_layers_of_start(preset_of("cpu", estimates is not None), args, [stage])
+    preset = with_networks_of_start(preset_of("cpu", estimates is not None), args, [stage])
     spec = preset.stages[stage].policy
     sensors, frames = shipped.needs.sensors, shipped.needs.future_frames
     config = EnvConfig(sensors=sensors, future_frames=frames, privileged=True)

@@ -30,10 +30,12 @@ _GAINS = ("log_kp", "log_kd", "log_limit")
 """Gains of ``Balance``, relative to its least values."""
 
 
-def with_layers_of_start(preset: Preset, args: TrainArgs, names: Sequence[str]) -> Preset:
-    """The preset, with the hidden layers of the policies that its stages start from.
+def with_networks_of_start(preset: Preset, args: TrainArgs, names: Sequence[str]) -> Preset:
+    """The preset, with hidden layers and balance of the policies that its stages start from.
 
-    ``--set stages.STAGE.policy.hidden=...`` gives a stage other layers; wider ones are filled up.
+    ``--set stages.STAGE.policy.hidden=...`` and ``...policy.balance=...`` give a stage others.
+    Wider layers are filled up, terms that only the new balance has are added. A stage that starts
+    from a policy without balance, or with another kind of head, keeps the preset's.
 
     Args:
         preset: with the values of ``--set``.
@@ -46,12 +48,20 @@ def with_layers_of_start(preset: Preset, args: TrainArgs, names: Sequence[str]) 
     stages = dict(preset.stages)
     for name in names:
         folder = _start_of(name, args)
-        chosen = f"stages.{name}.policy.hidden="
-        if folder is None or any(text.startswith(chosen) for text in args.set):
+        if folder is None:
             continue
-        layers = load_policy(folder).policy.spec.hidden
-        stages[name] = replace(stages[name], policy=replace(stages[name].policy, hidden=layers))
+        start, policy = load_policy(folder).policy.spec, stages[name].policy
+        if not _is_set(args, f"stages.{name}.policy.hidden"):
+            policy = replace(policy, hidden=start.hidden)
+        same = start.balance != "none" and start.reference_head == policy.reference_head
+        if same and not _is_set(args, f"stages.{name}.policy.balance"):
+            policy = replace(policy, balance=start.balance)
+        stages[name] = replace(stages[name], policy=policy)
     return replace(preset, stages=stages)
+
+
+def _is_set(args: TrainArgs, name: str) -> bool:
+    return any(text.startswith(f"{name}=") for text in args.set)
 
 
 def _start_of(name: str, args: TrainArgs) -> Path | None:

@@ -29,7 +29,7 @@ from agents.training.run_stage import Training, run_stage
 from agents.training.specialists import read_specialist
 from agents.training.stage import Stopper
 from agents.training.start_estimates import start_estimates
-from agents.training.start_from import with_layers_of_start
+from agents.training.start_from import with_networks_of_start
 from agents.training.training_clips import estimate_pairs, load_clips
 from agents.training.watched import beside_ray
 from questsim.errors import INTERRUPTED, InputError, at_least
@@ -86,7 +86,7 @@ def train_here(args: TrainArgs) -> int:
         read_run(args.out)
     else:
         refuse_existing(args.out)
-    preset = with_layers_of_start(preset, args, names)
+    preset = with_networks_of_start(preset, args, names)
     clips = load_clips(args)
     check_share(args.vary, args.redraw, clips)
     shown = estimate_pairs(args, clips)

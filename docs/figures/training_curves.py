@@ -66,6 +66,12 @@ FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
         ("steps, E", "E: one tracker of D and the specialist"),
         ("steps, student", "student of E, steps alone"),
     ),
+    "training-others.png": (
+        ("others, E by reward on all motions", "PPO from E on all motions"),
+        ("others, by reward", "specialist: PPO on other people's motions alone"),
+        ("others, F", "F: one tracker of E and both"),
+        ("others, student of E", "student of E, a quarter of it steps"),
+    ),
     "training-estimates.png": (
         ("shown estimates", "before: shown estimates of HMD-Poser and LGSIK-Poser"),
         ("shown estimates, again", "of ik and DragPoser, and recordings, too"),
