@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from questsim.motion.licences import combined
+
 UNKNOWN = "not stated"
 NON_COMMERCIAL = "CC-BY-NC-4.0"
-OURS = "MIT"
-"""Licence of the code, and of weights whose motions require no other licence."""
 
 
 def strictest(licences: Iterable[str]) -> str:
@@ -17,10 +17,9 @@ def strictest(licences: Iterable[str]) -> str:
     A motion made of several has an expression, too. If the licence of a motion is unknown, so is
     the licence of the weights.
     """
-    found = {part for licence in licences for part in licence.split(" AND ")}
-    if not found or UNKNOWN in found:
-        return UNKNOWN
-    return " AND ".join(sorted(found - {OURS})) or OURS
+    found = list(licences)
+    unknown = not found or any(UNKNOWN in licence for licence in found)
+    return UNKNOWN if unknown else combined(found)
 
 
 def licence_of(training: Mapping[str, Any]) -> str:

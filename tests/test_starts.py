@@ -71,8 +71,6 @@ def test_invalid_starts_are_refused():
 
 
 def test_a_rare_kind_comes_more_often_than_its_frames():
-    from dataclasses import replace
-
     many = [replace(CLIPS[0], kind="walk") for _ in range(16)]
     sim = BatchSim([*many, replace(CLIPS[0], kind="bow")], EnvConfig(), 1)
     numbers = np.random.default_rng(0).random((4000, 2))
@@ -83,8 +81,6 @@ def test_a_rare_kind_comes_more_often_than_its_frames():
 
 def test_variations_count_as_the_kind_that_they_vary():
     """Else a fifth of variations, each of a kind of its own, would be half of the samples."""
-    from dataclasses import replace
-
     changes = ("crouch", "bow", "reach", "crouch+reach")
     varied = [replace(CLIPS[0], kind=f"walk+{change}") for change in changes]
     walks = [replace(CLIPS[0], kind="walk") for _ in range(12)]

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from agents.licence import OURS, licence_of, strictest
+from agents.licence import licence_of, strictest
 from agents.resolve import (
     ESTIMATE_TRACKER,
     SHIPPED,
@@ -19,6 +19,7 @@ from agents.resolve import (
     with_physics,
 )
 from agents.shipping.options import AgentsArgs
+from questsim.motion.licences import OURS
 
 _REGISTRY = "agents.kinematic.registry"
 _STATISTICS = (".norm.mean", ".norm.var", ".norm.count")

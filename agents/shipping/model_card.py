@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agents.licence import NON_COMMERCIAL, OURS
+from agents.licence import NON_COMMERCIAL
 from agents.policy.average import AVERAGED, listed
 from agents.policy.policy_agent import PolicyAgent
 from agents.shipping.portable import nameable
@@ -15,6 +15,7 @@ from questsim.errors import InputError
 from questsim.evaluation_report import LABELS, with_interval
 from questsim.metrics import SCHEMA, SCHEMA_VERSION
 from questsim.motion.datasets import DATASETS
+from questsim.motion.licences import OURS
 from questsim.sensors import sensor_set
 
 NOT_FIGURES = ("real_time_factor",)

@@ -23,7 +23,7 @@ from agents.training.workers import Workers
 
 LEARNING_RATE_RANGE = (1e-9, 3e-3)
 """A distilled policy can be ten times as sensitive to its weights as a teacher: `questsim` needs a
-rate of 1e-7 to 1e-6, and with a least rate above that its updates are noise."""
+rate of 1e-7 to 1e-6, and above that its updates end early."""
 
 SPENT = 1.5
 """An update ends when its KL divergence reaches this multiple of the desired one."""

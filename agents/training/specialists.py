@@ -133,9 +133,8 @@ class Teachers:
     Args:
         general: the teacher of all clips without a specialist.
         specialists: agents with the patterns of their kinds, which also fit variations of these;
-            the first that fits a kind counts. Of
-            the agents without patterns and the general teacher, each clip has the one with the
-            highest mean reward over the clip.
+            the first that fits a kind counts. Of the agents without patterns and the general
+            teacher, each clip has the one with the highest mean reward over the clip.
         env: the training environment; its clips may change.
         threads: physics threads of the comparison.
 

@@ -17,6 +17,7 @@ from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
 from questsim.motion.clip import FPS, Clip, source_kind
 from questsim.motion.kinematics import clip_from_qpos
+from questsim.motion.licences import combined
 from questsim.motion.synthesis.posture import drift
 from questsim.motion.synthesis.synthetic import SEATED
 from questsim.motion.varying import feasible, stances, upper
@@ -247,8 +248,7 @@ def both_licences(first: str, second: str) -> str:
     """SPDX licence of a motion made of two others; empty if either is not stated."""
     if not first or not second:
         return ""
-    parts = {part for licence in (first, second) for part in licence.split(" AND ")}
-    return " AND ".join(sorted(parts - {"MIT"})) or "MIT"
+    return combined((first, second))
 
 
 def draw(clip: Clip, rng: np.random.Generator) -> Recipe:
