@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from questsim.motion.licences import combined
+from questsim.licences import combined
 
 UNKNOWN = "not stated"
 NON_COMMERCIAL = "CC-BY-NC-4.0"

@@ -19,7 +19,7 @@ from agents.resolve import (
     with_physics,
 )
 from agents.shipping.options import AgentsArgs
-from questsim.motion.licences import OURS
+from questsim.licences import OURS
 
 _REGISTRY = "agents.kinematic.registry"
 _STATISTICS = (".norm.mean", ".norm.var", ".norm.count")

@@ -13,9 +13,9 @@ from agents.policy.policy_agent import PolicyAgent
 from agents.shipping.portable import nameable
 from questsim.errors import InputError
 from questsim.evaluation_report import LABELS, with_interval
+from questsim.licences import OURS
 from questsim.metrics import SCHEMA, SCHEMA_VERSION
 from questsim.motion.datasets import DATASETS
-from questsim.motion.licences import OURS
 from questsim.sensors import sensor_set
 
 NOT_FIGURES = ("real_time_factor",)

@@ -15,9 +15,9 @@ import numpy as np
 
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
+from questsim.licences import combined
 from questsim.motion.clip import FPS, Clip, source_kind
 from questsim.motion.kinematics import clip_from_qpos
-from questsim.motion.licences import combined
 from questsim.motion.synthesis.posture import drift
 from questsim.motion.synthesis.synthetic import SEATED
 from questsim.motion.varying import feasible, stances, upper
