@@ -167,7 +167,7 @@ def test_end_effectors_are_those_that_carry_a_device(tmp_path):
     assert samples[0].max() == 0.0 and samples[1] == pytest.approx(1.0)
 
 
-def test_a_stopped_comparison_goes_on_and_another_one_is_refused(tmp_path, monkeypatch):
+def test_a_stopped_comparison_goes_on_and_another_one_is_refused(tmp_path, monkeypatch, capsys):
     motions, out = tmp_path / "motions.npz", tmp_path / "scores"
     short = to_motion(swaying_clip(frames=10))
     save_library(motions, [short, replace(short, name="other")], [])
@@ -182,7 +182,12 @@ def test_a_stopped_comparison_goes_on_and_another_one_is_refused(tmp_path, monke
 
     monkeypatch.setattr(run_module, "_scored", stopped)
     assert compare(args) == INTERRUPTED and not (out / "comparison.json").exists()
-    assert compare(replace(args, finished=True)) == 0
+    with pytest.raises(InputError, match="no row of ik is complete; leave --finished out"):
+        compare(replace(args, finished=True))
+    assert not (out / "comparison.json").exists()
+    capsys.readouterr()
+    assert compare(replace(args, agents=(), finished=True)) == 0
+    assert "rows that are not complete are left out: 1 of ik" in capsys.readouterr().err
     complete = json.loads((out / "comparison.json").read_text())["rows"]
     assert [row["agent"] for row in complete] == ["recording"]
     with (out / "clips.jsonl").open("a") as file:

@@ -10,7 +10,8 @@ import hashlib
 import json
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -113,6 +114,7 @@ def compare(args: CompareArgs) -> int:
             return INTERRUPTED
     if not scored:
         raise InputError("no row is complete yet", out, "leave --finished out")
+    _tell_missing(out, planned if args.agents else (), plans, [row for row, _ in scored])
     places = {recording.name: place for place, recording in enumerate(recordings)}
     if pairs := predictor_pairs(scored, [places[motion.name] for motion in fewer]):
         with whole_file(out / PREDICTOR) as path:
@@ -122,6 +124,24 @@ def compare(args: CompareArgs) -> int:
         shown = args.agents or representative(planned)
         _film(args, shown, filmed, [row for row, _ in compared(scored)], recordings)
     return 0
+
+
+def _tell_missing(
+    out: Path, asked: Iterable[str], plans: Sequence[Plan], rows: Sequence[Row]
+) -> None:
+    """Say on stderr how many rows of which agents the record lacks.
+
+    Raises:
+        InputError: an agent that was asked for by name has no row at all.
+    """
+    left = Counter(plan.name for plan in plans for _ in plan.rows)
+    left.subtract(row.agent for row in rows)
+    there = {row.agent for row in rows}
+    if absent := [name for name in asked if name not in there]:
+        what = f"no row of {', '.join(absent)} is complete"
+        raise InputError(what, out, "leave --finished out")
+    if told := ", ".join(f"{count} of {name}" for name, count in left.items() if count > 0):
+        print(f"warning: rows that are not complete are left out: {told}", file=sys.stderr)
 
 
 def _filmed(
