@@ -19,7 +19,7 @@ from agents.policy.checkpoint import CARD_FILE, CRITIC_FILE, load_policy, save_p
 from agents.policy.policy_agent import PolicyAgent, Tracker, new_policy
 from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
 from agents.resolve import SHIPPED
-from agents.run_folder import note_resume, start_run
+from agents.run_folder import note_resume, read_run, start_run
 from agents.shipping import ship as shipping
 from agents.shipping.provenance import StagePart, _joined, options_of
 from agents.shipping.ship import ShipArgs, check_name, ship
@@ -324,6 +324,38 @@ def test_a_common_teacher_of_two_shipped_policies_is_listed_once_by_one_name():
         "python train.py --out runs/tracker",
         "python train.py --out runs/student --teacher runs/tracker",
     ]
+
+
+def test_a_training_is_recognised_under_other_names_of_its_files_and_run():
+    def part(command: str, minutes: float = 16.53) -> StagePart:
+        about = {"stage": "teacher", "motions": command.split()[3]}
+        return StagePart(Path("shipped"), about, 2_000_000, minutes, command)
+
+    line = "python train.py --motions {},synthetic --seed {} --out {} --start {}"
+    one = part(line.format("docs/mixtures/wide.toml:train", 0, "runs/a", "runs/t"))
+    same = part(line.format("runs/wide.toml:train", 0, "runs/b", "runs/t-2"))
+    seed = part(line.format("docs/mixtures/wide.toml:train", 1, "runs/c", "runs/t"))
+    longer = part(one.command or "", 16.6)
+    more = part(line.format("runs/wide.toml:train,runs/x.npz", 0, "runs/d", "runs/t"))
+    assert _joined([one], [same]) == [one]
+    for other in (seed, longer, more):
+        assert len(_joined([one], [other])) == 2
+
+
+def test_a_card_calls_files_as_it_is_told(run, tmp_path):
+    record = read_run(run)
+    where = str(tmp_path / "mine.npz")
+    record["args"]["motions"] = where
+    (run / "run.yaml").write_text(yaml.safe_dump(record))
+    into = tmp_path / "weights"
+    ship(ShipArgs(run, "walker", files=(f"{where}=docs/mixtures/mine.npz",), into=into))
+    text = (into / "walker" / "README.md").read_text()
+    assert "--motions docs/mixtures/mine.npz " in text and "runs/mine" not in text
+    before = {path: path.read_bytes() for path in (into / "walker").iterdir()}
+    for value, says in (("mine.npz", "is not FILE=NAME"), ("other.npz=a", "is no file of")):
+        with pytest.raises(InputError, match=says):
+            ship(ShipArgs(run, "walker", files=(value,), into=into))
+    assert before == {path: path.read_bytes() for path in (into / "walker").iterdir()}
 
 
 def test_cards_name_no_folder_of_the_machine_of_the_training():

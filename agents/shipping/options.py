@@ -32,6 +32,9 @@ class ShipArgs:
     kinematic system."""
     into: Path = SHIPPED
     """Folder of the shipped policies."""
+    files: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE=NAME ...")] = ()
+    """What the card calls a motion file of the training, by default runs/ and its own name, as in
+    /data/w.toml=docs/mixtures/wide.toml."""
 
 
 @dataclass(frozen=True)

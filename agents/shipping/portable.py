@@ -6,25 +6,36 @@ from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from questsim.errors import InputError
 from questsim.motion.naming import split_parts
 
 NAME_FILES = ("motions", "estimates", "validation", "start_estimates", "body")
 """Options that may name files of the machine of the training."""
 
 
-def names_for_cards(texts: Iterable[str]) -> dict[str, str]:
+def names_for_cards(
+    texts: Iterable[str], called: Mapping[str, str] | None = None
+) -> dict[str, str]:
     """The names that cards give to files of the machine of a training, by absolute path.
 
     A file becomes ``runs/`` and its own name; a second file of that name gets a number.
 
     Args:
         texts: all motion arguments of the training.
+        called: names of the user's choice, by absolute path.
+
+    Raises:
+        InputError: ``called`` has a file that the training does not have.
     """
     files = [_file_of(part)[0] for text in texts for part in split_parts(text)]
-    taken = {file for file in files if not Path(file).is_absolute()}
-    names: dict[str, str] = {}
+    names = dict(called or {})
+    for file in names:
+        if file not in files:
+            known = ", ".join(sorted({f for f in files if Path(f).is_absolute()})) or "none"
+            raise InputError("is no file of the training", file, f"it has {known}")
+    taken = {file for file in files if not Path(file).is_absolute()} | {*names.values()}
     for file in dict.fromkeys(files):
-        if Path(file).is_absolute():
+        if Path(file).is_absolute() and file not in names:
             names[file] = free_name(f"runs/{Path(file).stem}", taken, Path(file).suffix)
             taken.add(names[file])
     return names

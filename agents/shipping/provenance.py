@@ -40,6 +40,11 @@ NOT_REPEATED = (
 )
 """Options that the printed commands set themselves, or that do not affect learning."""
 
+_NAMING = {f"--{name.replace('_', '-')}" for name in NAME_FILES} | {
+    "--out", "--start", "--teacher", "--specialists",
+}  # fmt: skip
+"""Options whose values name files or runs."""
+
 
 @dataclass(frozen=True)
 class StagePart:
@@ -59,11 +64,12 @@ class StagePart:
     command: str | None = None
 
 
-def provenance(folder: Path) -> dict[str, Any]:
+def provenance(folder: Path, called: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Training information for a model card of a run's policy.
 
     Args:
         folder: the policy's folder, inside its run.
+        called: see ``names_for_cards``.
 
     Returns:
         ``commands``, one per stage; ``stages``, each with ``stage``, ``steps``, ``minutes``,
@@ -72,12 +78,13 @@ def provenance(folder: Path) -> dict[str, Any]:
         the weights, from the motions of all stages; ``versions`` of the packages.
 
     Raises:
-        InputError: the policy is not inside a run, or an earlier stage is missing.
+        InputError: the policy is not inside a run, an earlier stage is missing, or no stage has a
+            file of ``called``.
     """
     parts = stages_behind(folder)
-    names = _names_of_files(parts)
+    names = _names_of_files(parts, called)
     return {
-        "commands": commands(parts),
+        "commands": commands(parts, called),
         "stages": [
             {
                 "stage": part.training["stage"],
@@ -236,13 +243,29 @@ def _joined(parts: list[StagePart], more: Sequence[StagePart]) -> list[StagePart
 
 
 def _is_same(a: StagePart, b: StagePart) -> bool:
-    """Whether two descriptions refer to the same training."""
-    if (a.command is None) != (b.command is None):
+    """Whether two descriptions refer to the same training.
+
+    Two cards may give its files and its run different names.
+    """
+    what = [(p.training["stage"], p.steps, p.minutes) for p in (a, b)]
+    if what[0] != what[1]:
         return False
-    if a.command is None and a.run != b.run:
-        return False
-    what = [(p.training["stage"], p.training["motions"], p.steps, p.minutes) for p in (a, b)]
-    return what[0] == what[1]
+    if a.command is None or b.command is None:
+        same = a.training["motions"] == b.training["motions"]
+        return a.command is b.command and a.run == b.run and same
+    return _unnamed(a.command) == _unnamed(b.command)
+
+
+def _unnamed(command: str) -> list[str]:
+    """The words of a command without the names of files and runs; their number remains."""
+    words, option = [], ""
+    for word in shlex.split(command):
+        if word.startswith("--"):
+            option = word
+        elif option in _NAMING:
+            word = "+" * word.count(",")
+        words.append(word)
+    return words
 
 
 def _renamed(command: str, names: Mapping[str, str]) -> str:
@@ -274,7 +297,7 @@ def _training(folder: Path) -> dict[str, Any]:
     return training
 
 
-def commands(parts: Sequence[StagePart]) -> list[str]:
+def commands(parts: Sequence[StagePart], called: Mapping[str, str] | None = None) -> list[str]:
     """Command lines that repeat the training, one per stage.
 
     The run is called ``runs/NAME``, whatever its folder was; a teacher from another run is in
@@ -282,7 +305,7 @@ def commands(parts: Sequence[StagePart]) -> list[str]:
     command names the last.
     """
     names, lines, begun = _run_names(parts), [], set()
-    files = _names_of_files(parts)
+    files = _names_of_files(parts, called)
     for part in parts:
         if part.command is not None:
             lines.append(part.command)
@@ -310,7 +333,9 @@ def commands(parts: Sequence[StagePart]) -> list[str]:
     return lines
 
 
-def _names_of_files(parts: Sequence[StagePart]) -> dict[str, str]:
+def _names_of_files(
+    parts: Sequence[StagePart], called: Mapping[str, str] | None = None
+) -> dict[str, str]:
     """See ``names_for_cards``: those of all stages."""
     texts: list[str] = []
     for part in parts:
@@ -319,7 +344,7 @@ def _names_of_files(parts: Sequence[StagePart]) -> dict[str, str]:
             texts += texts_of_files(read_run(part.run)["args"])
         else:
             texts += shlex.split(part.command)
-    return names_for_cards(texts)
+    return names_for_cards(texts, called)
 
 
 def _run_names(parts: Sequence[StagePart]) -> dict[Path, str]:

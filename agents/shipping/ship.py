@@ -64,7 +64,7 @@ def _ship_policy(args: ShipArgs, source: Path) -> tuple[int, str]:
     size = _checked_size(source / WEIGHTS_FILE)
     training = agent.card["training"]
     metrics = [read_metrics(path, training) for path in args.metrics]
-    behind = provenance(source)
+    behind = provenance(source, _called(args))
     motions = {"motions": behind["stages"][-1]["motions"]}
     agent.card["training"] = training | motions | behind
     licence = _checked_licence(agent.card["training"], source)
@@ -78,13 +78,28 @@ def _ship_system(args: ShipArgs, source: Path) -> tuple[int, str]:
     size = _checked_size(source / SYSTEM_WEIGHTS)
     training = description["training"]
     figures = [line for path in args.metrics for line in comparison_lines(path, training)]
-    behind = system_provenance(source)
+    behind = system_provenance(source, _called(args))
     motions = {"motions": behind["stages"][-1]["motions"]}
     description["training"] = training | motions | behind
     licence = _checked_licence(description["training"], source)
     card = system_card(args.name, source, description["training"], size, figures)
     _write(args, source, (SYSTEM_WEIGHTS,), (SYSTEM_CARD, description), card)
     return size, licence
+
+
+def _called(args: ShipArgs) -> dict[str, str]:
+    """``--files`` as a table.
+
+    Raises:
+        InputError: a value is not of the form FILE=NAME.
+    """
+    table = {}
+    for text in args.files:
+        file, sign, name = text.partition("=")
+        if not (file and sign and name) or Path(name).is_absolute():
+            raise InputError(f"{text!r} is not FILE=NAME", "--files", "NAME is what the card says")
+        table[str(Path(file).absolute())] = name
+    return table
 
 
 def _checked_size(weights: Path) -> int:

@@ -43,7 +43,7 @@ LIMITS = """\
 - Bodies differ only in the lengths of their bones; sex, age and weight are not modelled."""
 
 
-def system_provenance(folder: Path) -> dict[str, Any]:
+def system_provenance(folder: Path, called: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Training information for a system's card; same keys as ``provenance.provenance``.
 
     Commands and stages of the system that it started from come first. The licence is the strictest
@@ -51,14 +51,19 @@ def system_provenance(folder: Path) -> dict[str, Any]:
 
     Args:
         folder: the checkpoint's folder, inside its run.
+        called: see ``names_for_cards``.
 
     Raises:
-        InputError: it is not inside a run, or the system it started from is missing.
+        InputError: it is not inside a run, it has no file of ``called``, or the system it started
+            from is missing.
     """
     run = run_of(folder)
     record = read_run(run)
     training = read_system_card(folder)["training"]
-    files, stages = names_for_cards([training["motions"], *texts_of_files(record["args"])]), []
+    files, stages = (
+        names_for_cards([training["motions"], *texts_of_files(record["args"])], called),
+        [],
+    )
     for stage in training["trained"]:
         last = run / stage / "last"
         end = read_system_card(last)["training"] if (last / CARD_FILE).exists() else training
