@@ -77,6 +77,10 @@ COMMANDS: dict[str, Command] = {
         "questsim.motion_options:VaryArgs", "agents.commands.vary:vary_motions",
         "write a library of variations of motions: other speeds, postures, stances, paths",
     ),
+    "motions chain": Command(
+        "questsim.motion_options:ChainArgs", "questsim.motion.motions_command:chain_motions",
+        "write a library of chains: clips performed one after the other, with stands between",
+    ),
     "motions export": Command(
         "questsim.motion_options:ExportMotionsArgs", "questsim.exporting.command:export_motions",
         "write motions as BVH, GLB, AMASS-style npz or CSV",

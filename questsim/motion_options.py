@@ -62,6 +62,22 @@ class ImportArgs:
     """Address of a Ray cluster for --workers, whose nodes find the files at the same paths."""
 
 
+@dataclass(frozen=True)
+class ChainArgs:
+    """Join clips as a user performs them: standing still, going over to each, from rest to rest."""
+
+    spec: tyro.conf.Positional[str]
+    """Motions to join: a dataset (with :train), library, file, folder, or synthetic."""
+    out: Path
+    """The library to write, LIBRARY.npz."""
+    count: int = 100
+    """How many chains."""
+    each: int = 2
+    """Clips of a chain."""
+    seed: int = 0
+    """Random seed; the same motions and seed give the same chains."""
+
+
 @dataclass
 class MappingArgs:
     """Write a mapping file with the joints that are recognised; fill in and correct the rest."""

@@ -17,14 +17,13 @@ from questsim import rotations as rot
 from questsim.devices import DeviceFrame, DevicePose
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.kinematics import clip_from_qpos, standing_clip
+from questsim.motion.varying.chain import EASED_FRAMES, eased_frames, placed
 from questsim.sensors import SENSOR_SETS, device_poses
 from questsim.skeleton import LINKS
 
 STILL_S, GLIDE_S = 4.0, 1.2
 PALMS_S, PALMS_HZ = 3.0, 0.7
 """Duration of the calibration's second part, and how often the palms turn in it."""
-EASED_FRAMES = 18
-"""A clip's first and last half second take a second each: users do not start at full speed."""
 EXAMPLE_CLIPS = (
     "walk-0.8-start-stop", "wave-1", "walk-1.2-start-stop", "turn-left-0-1", "raise-both-hands-1",
     "squat-1", "stand-1", "turn-right-0-1", "boxing-1", "whiteboard-1",
@@ -142,22 +141,6 @@ def example_frames() -> list[DeviceFrame]:
     return stream(user, clips_done, 45.0, jitter_s=0.005, loss=0.01)[0]
 
 
-def placed(clip: Clip, heading_rad: float, spot: np.ndarray) -> Clip:
-    """The clip, turned and moved so that it begins at a place ``(2,)`` with a heading."""
-    yaw = heading_rad - float(rot.heading(clip.qpos[0, 3:7]))
-    turn = rot.yaw_quat(np.array(yaw))
-    qpos = clip.qpos.copy()
-    qpos[:, 3:7] = rot.quat_multiply(turn, qpos[:, 3:7])
-    start = rot.quat_rotate(turn, qpos[0, :3])
-    qpos[:, :3] = rot.quat_rotate(turn, qpos[:, :3])
-    qpos[:, :2] += spot - start[:2]
-    about = {"kind": clip.kind, "style": clip.style, "source": clip.source}
-    return replace(
-        clip_from_qpos(clip.name, qpos, clip.height_m, clip.proportions, **about),
-        licence=clip.licence,
-    )
-
-
 def _calibration(user: SyntheticUser, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     """Device poses ``(T, D, 3)``, ``(T, D, 4)`` of the user standing still, then turning palms."""
     at, turned = _standing_devices(user, names, np.zeros(1))
@@ -200,11 +183,8 @@ def _standing_devices(
 
 def _eased(position: np.ndarray, quat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Device poses ``(T, D, ...)`` played from rest to full speed, and back to rest at the end."""
-    last = len(position) - 1
-    ramp = np.arange(2 * EASED_FRAMES) ** 2 / (4.0 * EASED_FRAMES)
-    whole = np.arange(EASED_FRAMES, last - EASED_FRAMES + 1)
-    place = np.concatenate([ramp, whole, (last - ramp)[::-1]])
-    before = np.minimum(place.astype(int), last - 1)
+    place = eased_frames(len(position))
+    before = np.minimum(place.astype(int), len(position) - 2)
     share = (place - before)[:, None, None]
     a, b = quat[before], quat[before + 1]
     turned = (1.0 - share) * a + share * np.where((a * b).sum(-1, keepdims=True) < 0.0, -b, b)

@@ -1,4 +1,4 @@
-"""The commands ``questsim motions import``, ``fetch`` and ``list``."""
+"""The commands ``questsim motions import``, ``chain``, ``fetch`` and ``list``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from questsim.errors import InputError
+from questsim.errors import InputError, at_least
 from questsim.motion.clip import Clip
 from questsim.motion.datasets import DATASETS, fetch, is_fetched
 from questsim.motion.library import Library, save_library
@@ -24,7 +24,13 @@ from questsim.motion.reading import ReadOptions, explain, read_as_recorded
 from questsim.motion.skeletons import write_mapping
 from questsim.motion.sources import KINDS, motion_files
 from questsim.motion.spec import load_motions
-from questsim.motion_options import FetchArgs, ImportArgs, ListMotionsArgs, MappingArgs
+from questsim.motion_options import (
+    ChainArgs,
+    FetchArgs,
+    ImportArgs,
+    ListMotionsArgs,
+    MappingArgs,
+)
 
 MAX_REPORTS = 20
 
@@ -132,6 +138,29 @@ def _joined(
         [named(m, n) for m, n in zip(motions, numbered([m.name for m in motions]), strict=True)],
         [named(c, n) for c, n in zip(clips, numbered([c.name for c in clips]), strict=True)],
     )
+
+
+def chain_motions(args: ChainArgs) -> None:
+    """Write a library of chains.
+
+    Raises:
+        InputError: too few motions can be chained, or the library cannot be written; then there is
+            no library.
+    """
+    from questsim.motion.varying.chain import LONGEST_S, can_be_chained, chains
+
+    at_least(1, count=args.count, each=args.each)
+    at_least(0, seed=args.seed)
+    check_library_path(args.out)
+    clips = load_motions(args.spec, seed=args.seed)
+    made = list(chains(clips, args.count, args.each, args.seed))
+    save_library(args.out, [], made)
+    usable = sum(map(can_be_chained, clips))
+    limits = f"begin and end at rest, last at most {LONGEST_S:g} s and need no chair"
+    print(f"{usable} of {len(clips)} clips {limits}")
+    print(f"{len(made)} chains, {sum(clip.duration for clip in made):.0f} s, in {args.out}")
+    licences = sorted({clip.licence or "not stated" for clip in made})
+    print(f"licence: {', '.join(licences)}")
 
 
 def check_library_path(out: Path) -> None:
