@@ -448,6 +448,9 @@ def test_kinds_are_drawn_by_the_power_of_their_frames_that_is_asked_for():
         assert bank.probability.sum() == pytest.approx(1.0)
         assert bank.probability[:2].sum() == pytest.approx(share)
         assert bank.probability[0] == pytest.approx(bank.probability[1])
+        varied = [replace(motions[0], kind="stand+bow"), *motions[1:]]  # counts as standing
+        same = MotionBank(varied, 3, kind_power=power)
+        assert np.array_equal(same.probability, bank.probability)
 
 
 def test_checkpoints_are_compared_on_the_motions_of_validation(library, tmp_path):

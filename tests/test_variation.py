@@ -10,7 +10,7 @@ from questsim import rotations as rot
 from questsim.body import build_body
 from questsim.cli import main
 from questsim.errors import InputError
-from questsim.motion.clip import FPS, Clip
+from questsim.motion.clip import FPS, Clip, source_kind
 from questsim.motion.kinematics import clip_from_qpos
 from questsim.motion.library import load_library
 from questsim.motion.spec import load_motions
@@ -181,6 +181,14 @@ def test_licences_of_both_clips_stay() -> None:
 def test_the_kind_is_named_after_the_greatest_ingredient() -> None:
     assert Recipe(1.0, {"lean": 0.05, "crouch": 0.4}).dominant == "crouch"
     assert Recipe(1.0, {}).dominant is None
+
+
+def test_variations_that_are_varied_again_count_as_the_kind_of_their_source() -> None:
+    kinds = ("stand", "stand+bow", "stand+lean", "stand+crouch+bow")
+    standing = [replace(STAND, name=kind, kind=kind) for kind in kinds]
+    made = vary([WALK, *standing], 40, seed=1)
+    walks = sum(source_kind(clip.kind) == "walk" for clip in made)
+    assert 15 <= walks <= 25  # half of the draws, not a fifth
 
 
 def test_a_clip_too_short_is_refused_by_name() -> None:
