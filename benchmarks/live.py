@@ -4,6 +4,7 @@
     python -m benchmarks.live --minutes 1 --agent questsim-now --assist 0
     python -m benchmarks.live --motions bandai-namco-2:test --clips 36 --assist 0
     python -m benchmarks.live --motions bandai-namco-2:test --clips 36 --assist 0 --rest 1
+    python -m benchmarks.live --motions synthetic:random:100 --users 12 --assist 0
 
 The frames come from a synthetic user at 90 Hz. 1 % are lost. Each arrives up to 20 ms late, so many
 arrive out of order and are dropped. Targets: half of the steps within 5 ms, 99 % within 20 ms, no
@@ -18,6 +19,11 @@ less than the first. Clips that begin at rest are also counted alone, and with `
 alone: from standing, most others cannot be followed at all. It also measures how far apart the
 links of the first and the last avatar are in the same frames, after the first second: whether the
 live avatar moves as the evaluated one.
+
+With ``--users`` several synthetic users of 1.5 to 1.95 m stand still for calibration and then
+perform six of these clips each, one after the other. Their controllers are held askew, by 1 cm and
+0.15 rad. It prints how many clips were followed without a fall. Only clips that can be performed
+from rest are used (``questsim motions chain``).
 """
 
 from __future__ import annotations
@@ -46,9 +52,13 @@ from questsim.metrics import MAX_LINK_ERROR_M, Rollout
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.spec import load_motions
 from questsim.motion.synthesis.synthetic import synthetic_clips
+from questsim.motion.varying.chain import can_be_chained
+from questsim.stream_metrics import stream_scores, track_of
 from questsim.synthetic_user import EXAMPLE_CLIPS, STILL_S, SyntheticUser, stream
 
 RATE_HZ, LOSS, JITTER_S = 90.0, 0.01, 0.02
+USERS_CLIPS = 6
+"""Clips that each of several users performs."""
 REST_M_S = 0.3
 """A clip whose pelvis is slower in its first frame begins at rest."""
 
@@ -57,11 +67,14 @@ def main() -> None:
     """Measure and print."""
     args = arguments(
         __doc__ or "", {"agent": LIVE_POLICY, "motions": ""}, minutes=10, clips=60,
-        assist=round(ASSIST_N), rest=0,
+        assist=round(ASSIST_N), rest=0, users=0,
     )  # fmt: skip
     torch.set_num_threads(1)
     if args.motions:
         loaded = load_motions(args.motions)
+        if args.users:
+            report(several_users(args.agent, loaded, args.users, float(args.assist)), args.json)
+            return
         clips = choose_clips([c for c in loaded if not args.rest or at_rest(c)], args.clips)
         report(starts(args.agent, clips, float(args.assist)), args.json)
         return
@@ -212,6 +225,54 @@ def followed(agent: str, clip: Clip, assist_n: float) -> LiveResult:
             return LiveResult(span.clip, False, early, links)
         links[number] = pose.link_position
     return LiveResult(span.clip, True, early, links)
+
+
+def several_users(
+    agent: str, motions: Sequence[Clip], users: int, assist_n: float
+) -> dict[str, float]:
+    """Clips followed without a fall, falls a minute, and the error at headset and hands.
+
+    Args:
+        agent: the policy that follows.
+        motions: clips that the users choose from.
+        users: number of users, each with other clips.
+        assist_n: bound of the assist.
+    """
+    pool = [clip for clip in motions if can_be_chained(clip)]
+    falls, seconds, errors, whole = 0, 0.0, [], []
+    for seed in range(users):
+        rng = np.random.default_rng(seed)
+        clips = [pool[i] for i in rng.choice(len(pool), USERS_CLIPS, replace=False)]
+        mounts = {
+            f"{side}_controller": (tuple(rng.normal(0.0, 0.01, 3)), tuple(rng.normal(0.0, 0.15, 3)))
+            for side in ("left", "right")
+        }
+        height = float(rng.uniform(1.5, 1.95))
+        frames, spans = stream(
+            SyntheticUser(height, mounts=mounts, seed=seed), clips, 60.0, 0.004, LOSS
+        )
+        follower = Follower(agent, assist_n=assist_n)
+        calibration = follower.calibrate([f for f in frames if f.time_s < STILL_S])
+        after = [frame for frame in frames if frame.time_s >= STILL_S]
+        poses = [follower.step(frame) for frame in after]
+        fell = [p.time_s for p in poses if any("fell" in event for event in p.events)]
+        ends = [span.end_s + 1.0 for span in spans]
+        whole += [
+            not any(begin <= time < end for time in fell)
+            for begin, end in zip([0.0, *ends], ends, strict=False)
+        ]
+        known = [calibration.apply(frame) for frame in after]
+        scores = stream_scores(track_of(known, poses, calibration.floor_m))
+        falls, seconds = falls + len(fell), seconds + float(scores["seconds"] or 0.0)
+        errors.append(scores["mhpe_cm"])
+    return {
+        "users": users,
+        "clips": len(whole),
+        "assist_n": assist_n,
+        "followed_without_a_fall_percent": 100.0 * float(np.mean(whole)),
+        "falls_a_minute": 60.0 * falls / seconds,
+        "mhpe_cm": float(np.mean(errors)),
+    }
 
 
 if __name__ == "__main__":
