@@ -157,6 +157,12 @@ def test_a_motion_argument_names_actions_and_random_clips() -> None:
     assert len(load_motions("synthetic:random:3")) == 3
     held = load_motions("synthetic:held-out:4", seed=3)
     assert {clip.kind for clip in held} == set(HELD_OUT)
+    some = load_motions("synthetic:bow+shuffle:5", seed=3)
+    assert [clip.kind for clip in some] == ["bow", "shuffle", "bow", "shuffle", "bow"]
+    assert np.array_equal(some[1].qpos, random_clips(2, 3, ("bow", "shuffle"))[1].qpos)
+    seats = load_motions("synthetic:sit:6", seed=7)
+    assert len({clip.name for clip in seats}) == 6 and seats[0].name == "synthetic-sit-1-7"
+    assert np.array_equal(seats[5].qpos, load_motions("synthetic:sit", seed=8)[1].qpos)
     everything = load_motions("synthetic:all")
     assert len(everything) == 54 + 4 * len(ACTIONS)
     assert [c.name for c in everything[:54]] == [c.name for c in load_motions("synthetic")]
@@ -169,6 +175,9 @@ def test_a_motion_argument_names_actions_and_random_clips() -> None:
         ("synthetic:random:" + "3" * 5000, "' is not a number of clips"),
         ("synthetic:random:-3", "'-3' is not a number of clips"),
         ("synthetic:held-out:many", "'many' is not a number of clips"),
+        ("synthetic:bow:0", "'0' is not a number of clips"),
+        ("synthetic:bow+hover:5", "there is no kind 'hover'"),
+        ("synthetic:bow+sit:5", "some kinds need a chair, and some do not; write two parts"),
         ("synthetic:hover", "there is no kind 'hover'; choose from stand, walk.*bow.*all"),
     ],
 )

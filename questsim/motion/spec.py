@@ -172,22 +172,42 @@ def _synthetic(part: str, seed: int) -> list[Clip]:
     _, colon, kinds = part.partition(":")
     if not colon:
         return synthetic_clips(seed)
-    first, colon, number = kinds.partition(":")
+    first, counted, number = kinds.partition(":")
     if first in (RANDOM, HELD_OUT):
         make = random.random_clips if first == RANDOM else random.held_out_clips
-        return make(_count(number, part) if colon else RANDOM_COUNT, seed)
+        return make(_count(number, part) if counted else RANDOM_COUNT, seed)
     if kinds == "all":
         return synthetic_clips(seed) + random.action_clips(tuple(ACTIONS), seed)
-    wanted, known = kinds.split("+"), (*KINDS, *ACTIONS, *SEATED)
+    wanted, known = first.split("+"), (*KINDS, *ACTIONS, *SEATED)
     for kind in wanted:
         if kind not in known:
             choices = ", ".join((*known, "all", f"{RANDOM}:COUNT", f"{HELD_OUT}:COUNT"))
             raise InputError(f"there is no kind {kind!r}", part, f"choose from {choices}")
+    if counted:
+        return _random_clips(part, wanted, _count(number, part), seed)
     # Each is generated only on request.
     clips = synthetic_clips(seed, kinds=wanted)
     clips += random.action_clips([kind for kind in ACTIONS if kind in wanted], seed)
     clips += seated_clips(seed) if set(wanted) & set(SEATED) else []
     return [clip for clip in clips if clip.kind in wanted]
+
+
+def _random_clips(part: str, kinds: Sequence[str], count: int, seed: int) -> list[Clip]:
+    """Random clips of some kinds; those with a chair differ by the seed alone."""
+    from questsim.motion.synthesis.random_clips import random_clips
+    from questsim.motion.synthesis.synthetic import SEATED, seated_clips
+
+    seated = set(kinds) & set(SEATED)
+    if seated and not seated.issuperset(kinds):
+        raise InputError("some kinds need a chair, and some do not", part, "write two parts")
+    if not seated:
+        return random_clips(count, seed, kinds)
+    clips: list[Clip] = []
+    for one in range(seed, seed + count):
+        if len(clips) >= count:
+            break
+        clips += [named(c, f"{c.name}-{one}") for c in seated_clips(one) if c.kind in seated]
+    return clips[:count]
 
 
 def _count(text: str, part: str) -> int:
