@@ -16,3 +16,9 @@ def combined(licences: Iterable[str]) -> str:
     """
     parts = {part for licence in licences for part in licence.split(" AND ")}
     return " AND ".join(sorted(parts - {OURS})) or OURS
+
+
+def of_parts(licences: Iterable[str]) -> str:
+    """The licence of a motion made of several; empty if that of any is not stated."""
+    found = list(licences)
+    return combined(found) if found and all(found) else ""

@@ -10,11 +10,12 @@ from questsim import rotations as rot
 from questsim.body import build_body
 from questsim.cli import main
 from questsim.errors import InputError
+from questsim.licences import of_parts
 from questsim.motion.clip import FPS, Clip, source_kind
 from questsim.motion.kinematics import clip_from_qpos
 from questsim.motion.library import load_library
 from questsim.motion.spec import load_motions
-from questsim.motion.variation import Recipe, Tally, both_licences, draw, vary
+from questsim.motion.variation import Recipe, Tally, draw, vary
 from questsim.motion.varying import feasible, stances, upper
 from questsim.motion.varying.figure import default_poses, figure_of, in_other_time, solve
 from questsim.skeleton import DOFS, FOOT_LINKS
@@ -172,10 +173,10 @@ def test_joints_faster_than_peoples_and_soles_in_the_floor_are_seen() -> None:
 
 
 def test_licences_of_both_clips_stay() -> None:
-    assert both_licences("MIT", "MIT") == "MIT"
-    assert both_licences("MIT", "CC-BY-NC-4.0") == "CC-BY-NC-4.0"
-    assert both_licences("CC-BY-4.0", "CC-BY-NC-4.0") == "CC-BY-4.0 AND CC-BY-NC-4.0"
-    assert both_licences("", "MIT") == ""
+    assert of_parts(("MIT", "MIT")) == "MIT"
+    assert of_parts(("MIT", "CC-BY-NC-4.0")) == "CC-BY-NC-4.0"
+    assert of_parts(("CC-BY-4.0", "CC-BY-NC-4.0")) == "CC-BY-4.0 AND CC-BY-NC-4.0"
+    assert of_parts(("", "MIT")) == ""
 
 
 def test_the_kind_is_named_after_the_greatest_ingredient() -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
-from questsim.licences import combined
+from questsim.licences import of_parts
 from questsim.motion.clip import FPS, Clip, source_kind
 from questsim.motion.kinematics import clip_from_qpos
 from questsim.motion.synthesis.posture import drift
@@ -218,7 +218,7 @@ def make(base: Clip, donor: Clip, rng: np.random.Generator) -> Clip | str:
         base.height_m,
         source=_source(base, mixed, recipe),
         source_sha256=base.source_sha256,
-        licence=both_licences(base.licence, mixed.licence),
+        licence=of_parts((base.licence, mixed.licence)),
         kind=f"{base.kind}+{dominant}" if dominant else base.kind,
         style=base.style,
     )
@@ -242,13 +242,6 @@ def _source(base: Clip, donor: Clip, recipe: Recipe) -> str:
     mixed = f" and {donor.name}" if "upper" in recipe.amounts else ""
     origin = f" ({base.source})" if base.source else ""
     return f"variation of {base.name}{mixed}{origin}: {recipe}"
-
-
-def both_licences(first: str, second: str) -> str:
-    """SPDX licence of a motion made of two others; empty if either is not stated."""
-    if not first or not second:
-        return ""
-    return combined((first, second))
 
 
 def draw(clip: Clip, rng: np.random.Generator) -> Recipe:

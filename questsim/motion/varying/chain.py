@@ -15,7 +15,7 @@ import numpy as np
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
 from questsim.errors import InputError
-from questsim.licences import combined
+from questsim.licences import of_parts
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.kinematics import clip_from_qpos, standing_clip
 from questsim.motion.synthesis.plan import smoothstep
@@ -104,8 +104,7 @@ def chain(name: str, clips: Sequence[Clip], rng: np.random.Generator) -> Clip:
             )
     source = "chain of " + ", ".join(clip.name for clip in clips)
     made = clip_from_qpos(name, qpos, DEFAULT_HEIGHT_M, kind=KIND, source=source)
-    licences = [clip.licence for clip in clips]
-    return replace(made, licence=combined(licences) if all(licences) else "")
+    return replace(made, licence=of_parts(clip.licence for clip in clips))
 
 
 def going_over(
