@@ -5,6 +5,7 @@
     python -m benchmarks.live --motions bandai-namco-2:test --clips 36 --assist 0
     python -m benchmarks.live --motions bandai-namco-2:test --clips 36 --assist 0 --rest 1
     python -m benchmarks.live --motions synthetic:random:100 --users 12 --assist 0
+    python -m benchmarks.live --motions synthetic:walk+turn-left --statures 7 --assist 0
 
 The frames come from a synthetic user at 90 Hz. 1 % are lost. Each arrives up to 20 ms late, so many
 arrive out of order and are dropped. Targets: half of the steps within 5 ms, 99 % within 20 ms, no
@@ -24,6 +25,9 @@ With ``--users`` several synthetic users of 1.5 to 1.95 m stand still for calibr
 perform six of these clips each, one after the other. Their controllers are held askew, by 1 cm and
 0.15 rad. It prints how many clips were followed without a fall. Only clips that can be performed
 from rest are used (``questsim motions chain``).
+
+With ``--statures`` users of so many statures from 1.5 to 1.9 m stand still and perform each of
+these clips alone, with devices in their place and without losses.
 """
 
 from __future__ import annotations
@@ -67,13 +71,16 @@ def main() -> None:
     """Measure and print."""
     args = arguments(
         __doc__ or "", {"agent": LIVE_POLICY, "motions": ""}, minutes=10, clips=60,
-        assist=round(ASSIST_N), rest=0, users=0,
+        assist=round(ASSIST_N), rest=0, users=0, statures=0,
     )  # fmt: skip
     torch.set_num_threads(1)
     if args.motions:
         loaded = load_motions(args.motions)
         if args.users:
             report(several_users(args.agent, loaded, args.users, float(args.assist)), args.json)
+            return
+        if args.statures:
+            report(all_statures(args.agent, loaded, args.statures, float(args.assist)), args.json)
             return
         clips = choose_clips([c for c in loaded if not args.rest or at_rest(c)], args.clips)
         report(starts(args.agent, clips, float(args.assist)), args.json)
@@ -272,6 +279,33 @@ def several_users(
         "followed_without_a_fall_percent": 100.0 * float(np.mean(whole)),
         "falls_a_minute": 60.0 * falls / seconds,
         "mhpe_cm": float(np.mean(errors)),
+    }
+
+
+def all_statures(
+    agent: str, motions: Sequence[Clip], statures: int, assist_n: float
+) -> dict[str, float]:
+    """Falls before the end of each clip, each with users of several statures.
+
+    Args:
+        agent: the policy that follows.
+        motions: clips to perform.
+        statures: number of statures from 1.5 to 1.9 m.
+        assist_n: bound of the assist.
+    """
+    falls = []
+    for clip in filter(can_be_chained, motions):
+        for height in np.linspace(1.5, 1.9, statures):
+            frames, (span,) = stream(SyntheticUser(float(height)), [clip], 72.0)
+            follower = Follower(agent, assist_n=assist_n)
+            follower.calibrate([frame for frame in frames if frame.time_s < STILL_S])
+            poses = [follower.step(f) for f in frames if STILL_S - 1.0 <= f.time_s <= span.end_s]
+            falls.append(sum(any("fell" in event for event in p.events) for p in poses))
+    return {
+        "streams": len(falls),
+        "assist_n": assist_n,
+        "streams_with_a_fall": int(np.count_nonzero(falls)),
+        "falls": int(np.sum(falls)),
     }
 
 
