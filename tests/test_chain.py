@@ -10,6 +10,7 @@ import pytest
 from questsim import cli
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M
+from questsim.body_proportions import Proportions
 from questsim.errors import InputError
 from questsim.motion.clip import FPS
 from questsim.motion.kinematics import standing_clip
@@ -103,6 +104,14 @@ def test_only_clips_from_rest_to_rest_without_a_chair_are_chained():
     assert not any(can_be_chained(clip) for clip in load_motions("synthetic:sit"))
     with pytest.raises(InputError, match="1 of 2 clips begin and end at rest"):
         next(chains([CLIPS["wave-1"], moving], 1))
+
+
+def test_clips_of_other_proportions_are_refused_by_name():
+    own_body = replace(CLIPS["wave-1"], proportions=Proportions())
+    with pytest.raises(InputError, match="synthetic-wave-1: chains are of the default body's"):
+        chain("me", [CLIPS["squat-1"], own_body], np.random.default_rng(0))
+    with pytest.raises(InputError, match="synthetic-wave-1: chains are of the default body's"):
+        next(chains([CLIPS["squat-1"], CLIPS["stand-1"], own_body], 1))
 
 
 def test_the_command_writes_a_library_and_nothing_when_it_cannot(tmp_path, capsys):

@@ -65,8 +65,10 @@ def chains(clips: Sequence[Clip], count: int, each: int = 2, seed: int = 0) -> I
         seed: of the choice and of the times.
 
     Raises:
-        InputError: fewer than ``each`` clips can be chained.
+        InputError: fewer than ``each`` clips can be chained, or one has other proportions than the
+            default body.
     """
+    _check_bodies(clips)
     pool = [clip for clip in clips if can_be_chained(clip)]
     if len(pool) < each:
         what = f"{len(pool)} of {len(clips)} clips begin and end at rest within {LONGEST_S:g} s"
@@ -84,7 +86,11 @@ def chain(name: str, clips: Sequence[Clip], rng: np.random.Generator) -> Clip:
         name: of the chain.
         clips: each begins where and with the heading with which the one before ended.
         rng: draws the arms of the standing user, the times, and which foot steps first.
+
+    Raises:
+        InputError: a clip has other proportions than the default body.
     """
+    _check_bodies(clips)
     still = _standing(rng)
     qpos = np.repeat(still[None], _frames(_STILL_S, rng), axis=0)
     for clip in clips:
@@ -181,6 +187,13 @@ def _between(ends: np.ndarray, share: np.ndarray) -> np.ndarray:
     sign = np.where((ends[0] * ends[1]).sum(-1, keepdims=True) < 0.0, -1.0, 1.0)
     quat = (1.0 - share)[:, None] * ends[0] + share[:, None] * (sign * ends[1])
     return quat / np.linalg.norm(quat, axis=-1, keepdims=True)
+
+
+def _check_bodies(clips: Sequence[Clip]) -> None:
+    for clip in clips:
+        if clip.proportions is not None:
+            what = "chains are of the default body's proportions"
+            raise InputError(what, clip.name, "leave the proportions out")
 
 
 def _standing(rng: np.random.Generator) -> np.ndarray:
