@@ -23,6 +23,7 @@ from questsim.motion.synthesis.synthetic import SEATED
 from questsim.motion.varying import feasible, stances, upper
 from questsim.motion.varying.figure import (
     Figure,
+    check_bodies,
     default_poses,
     figure_of,
     in_other_time,
@@ -120,10 +121,7 @@ def variations(
     tally: Tally | None = None,
 ) -> Iterator[Clip]:
     """The variations of these numbers, one after the other; see ``vary``."""
-    for clip in clips:
-        if clip.proportions is not None:
-            what = "variations are of the default body's proportions"
-            raise InputError(what, clip.name, "leave the proportions out")
+    check_bodies(clips, "variations")
     pool = _pool(clips, seed)
     tally = Tally() if tally is None else tally
     for number in numbers:

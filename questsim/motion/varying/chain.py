@@ -20,7 +20,7 @@ from questsim.motion.clip import FPS, Clip
 from questsim.motion.kinematics import clip_from_qpos, standing_clip
 from questsim.motion.synthesis.plan import smoothstep
 from questsim.motion.synthesis.synthetic import SEATED
-from questsim.motion.varying.figure import Figure, figure_of, solve
+from questsim.motion.varying.figure import Figure, check_bodies, figure_of, solve
 from questsim.motion.varying.stances import move_pressure
 from questsim.skeleton import DOFS
 
@@ -68,7 +68,7 @@ def chains(clips: Sequence[Clip], count: int, each: int = 2, seed: int = 0) -> I
         InputError: fewer than ``each`` clips can be chained, or one has other proportions than the
             default body.
     """
-    _check_bodies(clips)
+    check_bodies(clips, "chains")
     pool = [clip for clip in clips if can_be_chained(clip)]
     if len(pool) < each:
         what = f"{len(pool)} of {len(clips)} clips begin and end at rest within {LONGEST_S:g} s"
@@ -90,7 +90,7 @@ def chain(name: str, clips: Sequence[Clip], rng: np.random.Generator) -> Clip:
     Raises:
         InputError: a clip has other proportions than the default body.
     """
-    _check_bodies(clips)
+    check_bodies(clips, "chains")
     still = _standing(rng)
     qpos = np.repeat(still[None], _frames(_STILL_S, rng), axis=0)
     for clip in clips:
@@ -187,13 +187,6 @@ def _between(ends: np.ndarray, share: np.ndarray) -> np.ndarray:
     sign = np.where((ends[0] * ends[1]).sum(-1, keepdims=True) < 0.0, -1.0, 1.0)
     quat = (1.0 - share)[:, None] * ends[0] + share[:, None] * (sign * ends[1])
     return quat / np.linalg.norm(quat, axis=-1, keepdims=True)
-
-
-def _check_bodies(clips: Sequence[Clip]) -> None:
-    for clip in clips:
-        if clip.proportions is not None:
-            what = "chains are of the default body's proportions"
-            raise InputError(what, clip.name, "leave the proportions out")
 
 
 def _standing(rng: np.random.Generator) -> np.ndarray:

@@ -5,6 +5,7 @@ All lengths are those of the default body; time is the clip's own.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from questsim import rotations as rot
 from questsim.body import DEFAULT_HEIGHT_M, build_body
+from questsim.errors import InputError
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.kinematics import foot_contacts, link_offsets, link_poses
 from questsim.motion.limbs import FULL_STRETCH, SIDES, fill_legs, joint_index
@@ -62,6 +64,18 @@ class Figure:
     def heading(self) -> np.ndarray:
         """``(T,)`` yaw of the pelvis in radians, without jumps."""
         return np.unwrap(rot.heading(self.pelvis))
+
+
+def check_bodies(clips: Iterable[Clip], what: str) -> None:
+    """Check that clips have the default body's proportions, as ``what`` is to have.
+
+    Raises:
+        InputError: one has not; it is named.
+    """
+    for clip in clips:
+        if clip.proportions is not None:
+            told = f"{what} are of the default body's proportions"
+            raise InputError(told, clip.name, "leave the proportions out")
 
 
 def default_poses(clip: Clip, first: int = 0, last: int | None = None) -> np.ndarray:
