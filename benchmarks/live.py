@@ -50,6 +50,7 @@ from agents.loading import load_agent
 from agents.resolve import LIVE_POLICY
 from benchmarks.common import arguments, report
 from envs.starts import WHOLLY
+from questsim.avatar_pose import AvatarPose
 from questsim.cli import guarded
 from questsim.devices import DeviceFrame
 from questsim.metrics import MAX_LINK_ERROR_M, Rollout
@@ -223,7 +224,7 @@ def followed(agent: str, clip: Clip, assist_n: float) -> LiveResult:
     for frame in frames:
         pose = follower.step(frame)
         number = round((pose.time_s - span.start_s) * FPS)
-        fell = any("fell" in event for event in pose.events)
+        fell = has_fallen(pose)
         early |= fell and number < 0
         if not 0 <= number < len(span.clip):
             continue
@@ -262,7 +263,7 @@ def several_users(
         calibration = follower.calibrate([f for f in frames if f.time_s < STILL_S])
         after = [frame for frame in frames if frame.time_s >= STILL_S]
         poses = [follower.step(frame) for frame in after]
-        fell = [p.time_s for p in poses if any("fell" in event for event in p.events)]
+        fell = [pose.time_s for pose in poses if has_fallen(pose)]
         ends = [span.end_s + 1.0 for span in spans]
         whole += [
             not any(begin <= time < end for time in fell)
@@ -280,6 +281,11 @@ def several_users(
         "falls_a_minute": 60.0 * falls / seconds,
         "mhpe_cm": float(np.mean(errors)),
     }
+
+
+def has_fallen(pose: AvatarPose) -> bool:
+    """Whether the avatar fell and was set up again at this pose."""
+    return any("fell" in event for event in pose.events)
 
 
 def all_statures(
@@ -300,7 +306,7 @@ def all_statures(
             follower = Follower(agent, assist_n=assist_n)
             follower.calibrate([frame for frame in frames if frame.time_s < STILL_S])
             poses = [follower.step(f) for f in frames if STILL_S - 1.0 <= f.time_s <= span.end_s]
-            falls.append(sum(any("fell" in event for event in p.events) for p in poses))
+            falls.append(sum(map(has_fallen, poses)))
     return {
         "streams": len(falls),
         "assist_n": assist_n,

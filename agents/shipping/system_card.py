@@ -60,10 +60,8 @@ def system_provenance(folder: Path, called: Mapping[str, str] | None = None) -> 
     run = run_of(folder)
     record = read_run(run)
     training = read_system_card(folder)["training"]
-    files, stages = (
-        names_for_cards([training["motions"], *texts_of_files(record["args"])], called),
-        [],
-    )
+    files = names_for_cards([training["motions"], *texts_of_files(record["args"])], called)
+    stages = []
     for stage in training["trained"]:
         last = run / stage / "last"
         end = read_system_card(last)["training"] if (last / CARD_FILE).exists() else training
