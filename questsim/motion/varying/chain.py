@@ -142,7 +142,7 @@ def _step(figure: Figure, foot: int, progress: np.ndarray) -> bool:
     place, turned = figure.ankle[[0, -1], foot].copy(), figure.foot[[0, -1], foot].copy()
     moved = smoothstep(progress)
     figure.ankle[:, foot] = place[0] + moved[:, None] * (place[1] - place[0])
-    figure.foot[:, foot] = _between(turned, moved)
+    figure.foot[:, foot] = rot.resample_quat(rot.continuous(turned), np.arange(2.0), moved)
     lifted = bool(np.linalg.norm(place[1] - place[0]) > _FIXED_M)
     if lifted:
         figure.ankle[:, foot, 2] += _STEP_M * np.sin(np.pi * progress) ** 1.5
@@ -175,18 +175,10 @@ def eased_frames(frames: int) -> np.ndarray:
 
 def interpolated(qpos: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Poses ``(T, 40)`` at fractional frames ``(T,)`` of poses ``(N, 40)``."""
-    before = np.clip(at.astype(int), 0, len(qpos) - 2)
-    share = at - before
-    poses = (1.0 - share[:, None]) * qpos[before] + share[:, None] * qpos[before + 1]
-    poses[:, 3:7] = _between(np.stack([qpos[before, 3:7], qpos[before + 1, 3:7]]), share)
+    frames = np.arange(len(qpos), dtype=float)
+    poses = rot.resample_points(qpos, frames, at)
+    poses[:, 3:7] = rot.resample_quat(rot.continuous(qpos[:, 3:7]), frames, at)
     return poses
-
-
-def _between(ends: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Quaternions ``(T, 4)`` at shares ``(T,)`` of the way from ``ends[0]`` to ``ends[1]``."""
-    sign = np.where((ends[0] * ends[1]).sum(-1, keepdims=True) < 0.0, -1.0, 1.0)
-    quat = (1.0 - share)[:, None] * ends[0] + share[:, None] * (sign * ends[1])
-    return quat / np.linalg.norm(quat, axis=-1, keepdims=True)
 
 
 def _standing(rng: np.random.Generator) -> np.ndarray:
