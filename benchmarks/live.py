@@ -32,6 +32,7 @@ these clips alone, with devices in their place and without losses.
 
 from __future__ import annotations
 
+import argparse
 import resource
 import sys
 import time
@@ -53,6 +54,7 @@ from envs.starts import WHOLLY
 from questsim.avatar_pose import AvatarPose
 from questsim.cli import guarded
 from questsim.devices import DeviceFrame
+from questsim.errors import InputError
 from questsim.metrics import MAX_LINK_ERROR_M, Rollout
 from questsim.motion.clip import FPS, Clip
 from questsim.motion.spec import load_motions
@@ -62,6 +64,8 @@ from questsim.stream_metrics import stream_scores, track_of
 from questsim.synthetic_user import EXAMPLE_CLIPS, STILL_S, SyntheticUser, stream
 
 RATE_HZ, LOSS, JITTER_S = 90.0, 0.01, 0.02
+COUNTS = {"minutes": 10, "clips": 60, "rest": 0, "users": 0, "statures": 0}
+"""Options that are whole numbers, with their defaults."""
 USERS_CLIPS = 6
 """Clips that each of several users performs."""
 REST_M_S = 0.3
@@ -71,22 +75,41 @@ REST_M_S = 0.3
 def main() -> None:
     """Measure and print."""
     args = arguments(
-        __doc__ or "", {"agent": LIVE_POLICY, "motions": ""}, minutes=10, clips=60,
-        assist=round(ASSIST_N), rest=0, users=0, statures=0,
-    )  # fmt: skip
+        __doc__ or "", {"agent": LIVE_POLICY, "motions": ""}, assist=round(ASSIST_N), **COUNTS
+    )
+    check_options(args)
     torch.set_num_threads(1)
-    if args.motions:
-        loaded = load_motions(args.motions)
-        if args.users:
-            report(several_users(args.agent, loaded, args.users, float(args.assist)), args.json)
-            return
-        if args.statures:
-            report(all_statures(args.agent, loaded, args.statures, float(args.assist)), args.json)
-            return
-        clips = choose_clips([c for c in loaded if not args.rest or at_rest(c)], args.clips)
-        report(starts(args.agent, clips, float(args.assist)), args.json)
+    agent, assist_n = args.agent, float(args.assist)
+    if not args.motions:
+        report(measure(agent, float(args.minutes), assist_n), args.json)
         return
-    report(measure(args.agent, float(args.minutes), float(args.assist)), args.json)
+    loaded = load_motions(args.motions)
+    if args.users:
+        report(several_users(agent, loaded, args.users, assist_n), args.json)
+    elif args.statures:
+        report(all_statures(agent, loaded, args.statures, assist_n), args.json)
+    else:
+        clips = choose_clips([c for c in loaded if not args.rest or at_rest(c)], args.clips)
+        report(starts(agent, clips, assist_n), args.json)
+
+
+def check_options(args: argparse.Namespace) -> None:
+    """Check that each option given has an effect.
+
+    Raises:
+        InputError: one has none, or a count is negative.
+    """
+    if (args.users or args.statures) and not args.motions:
+        raise InputError("need clips", "--users, --statures", "name them with --motions")
+    only = "users" if args.users else "statures" if args.statures else ""
+    read = {only} if only else {"clips", "rest"} if args.motions else {"minutes"}
+    beside = f"beside --{only}" if only else "beside --motions" if args.motions else "alone"
+    for name, default in COUNTS.items():
+        value = getattr(args, name)
+        if value < 0:
+            raise InputError(f"{value} is below 0", f"--{name}", "give 0 or more")
+        if value != default and name not in read:
+            raise InputError(f"has no effect {beside}", f"--{name}", "leave it out")
 
 
 def bad_stream(minutes: float) -> list[DeviceFrame]:
@@ -245,8 +268,11 @@ def several_users(
         motions: clips that the users choose from.
         users: number of users, each with other clips.
         assist_n: bound of the assist.
+
+    Raises:
+        InputError: fewer than ``USERS_CLIPS`` clips can be performed from rest.
     """
-    pool = [clip for clip in motions if can_be_chained(clip)]
+    pool = chainable(motions, USERS_CLIPS)
     falls, seconds, errors, whole = 0, 0.0, [], []
     for seed in range(users):
         rng = np.random.default_rng(seed)
@@ -283,6 +309,19 @@ def several_users(
     }
 
 
+def chainable(motions: Sequence[Clip], least: int) -> list[Clip]:
+    """The clips that can be performed from rest.
+
+    Raises:
+        InputError: fewer than ``least``.
+    """
+    pool = [clip for clip in motions if can_be_chained(clip)]
+    if len(pool) < least:
+        what = f"{len(pool)} of {len(motions)} clips can be performed from rest"
+        raise InputError(what, "--motions", f"name at least {least}")
+    return pool
+
+
 def has_fallen(pose: AvatarPose) -> bool:
     """Whether the avatar fell and was set up again at this pose."""
     return any("fell" in event for event in pose.events)
@@ -298,9 +337,12 @@ def all_statures(
         motions: clips to perform.
         statures: number of statures from 1.5 to 1.9 m.
         assist_n: bound of the assist.
+
+    Raises:
+        InputError: no clip can be performed from rest.
     """
     falls = []
-    for clip in filter(can_be_chained, motions):
+    for clip in chainable(motions, 1):
         for height in np.linspace(1.5, 1.9, statures):
             frames, (span,) = stream(SyntheticUser(float(height)), [clip], 72.0)
             follower = Follower(agent, assist_n=assist_n)

@@ -8,6 +8,7 @@ import pytest
 
 from questsim import rotations as rot
 from questsim.body import build_body
+from questsim.body_proportions import Proportions
 from questsim.cli import main
 from questsim.errors import InputError
 from questsim.licences import of_parts
@@ -190,6 +191,12 @@ def test_variations_that_are_varied_again_count_as_the_kind_of_their_source() ->
     made = vary([WALK, *standing], 40, seed=0)
     # Half of the draws are of the walk, not a fifth; more of them are rejected.
     assert sum(source_kind(clip.kind) == "walk" for clip in made) >= 9
+
+
+def test_clips_of_other_proportions_are_refused_by_name() -> None:
+    own_body = replace(WALK, proportions=Proportions())
+    with pytest.raises(InputError, match="start-stop: variations are of the default body's"):
+        vary([STAND, own_body], 1)
 
 
 def test_a_clip_too_short_is_refused_by_name() -> None:

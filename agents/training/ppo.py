@@ -195,7 +195,7 @@ class AdaptivePPO(PPO):
         record("train/noise", policy.log_std.detach().exp().mean().item())
 
     def _learn_actions(self, targets: Targets, orders: list[Tensor]) -> tuple[float, ...]:
-        """Clipped policy gradient (Schulman et al. 2017, eq. 7).
+        """Clipped policy gradient; see ``clipped_gain``.
 
         Returns:
             Policy loss of all steps; KL divergence and share of clipped ratios of the last epoch;
@@ -231,9 +231,8 @@ class AdaptivePPO(PPO):
         """Loss of a minibatch and its share of clipped ratios."""
         policy = self.policy
         log_ratio = policy.log_prob(mean, targets.actions[rows]) - targets.log_probs[rows]
-        ratio, advantages = log_ratio.exp(), targets.advantages[rows]
-        gain = torch.minimum(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages)
-        loss = -gain.mean()
+        ratio = log_ratio.exp()
+        loss = -clipped_gain(ratio, targets.advantages[rows], clip).mean()
         if self.ent_coef:
             loss = loss - self.ent_coef * policy.log_std.sum()
         return loss, ((ratio.detach() - 1).abs() > clip).float().mean()
@@ -391,6 +390,17 @@ class _Observer(BaseCallback):
     def _on_step(self) -> bool:
         self.observe(self.locals["rewards"], self.locals["dones"], self.locals["infos"])
         return True
+
+
+def clipped_gain(ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
+    """PPO's objective of each sample (Schulman et al. 2017, eq. 7), to be maximised.
+
+    Args:
+        ratio: ``(N,)`` probabilities of the actions, divided by those when they were played.
+        advantages: ``(N,)``.
+        clip: ratios further than this from 1 gain nothing more.
+    """
+    return torch.minimum(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages)
 
 
 def _clipped(recent: list[tuple[float, float]]) -> float:

@@ -24,7 +24,7 @@ from torch import Tensor
 from agents.policy.checkpoint import find_policy, load_policy
 from agents.policy.networks import TorquePolicy
 from agents.training.make_ppo import make_ppo
-from agents.training.ppo import AdaptivePPO
+from agents.training.ppo import AdaptivePPO, clipped_gain
 from agents.training.presets import TRACKING_REWARD, PPOConfig, StageConfig, preset_of
 from agents.training.start_from import copy_actor
 from envs import QuestVecEnv
@@ -172,7 +172,7 @@ def joined(rollouts: Sequence[Rollout], lam: float, without: int = 0) -> Samples
 
 
 def update(policy: TorquePolicy, samples: Samples, args: Args) -> None:
-    """PPO's update by Adam (Schulman et al. 2017, eq. 7)."""
+    """PPO's update by Adam, without its limit of the KL divergence."""
     std, parameters = policy.log_std.detach().exp(), policy.actor_parameters()
     adam = torch.optim.Adam(parameters, lr=args.rate, eps=1e-5)
     generator = torch.Generator().manual_seed(args.seed)
@@ -181,10 +181,8 @@ def update(policy: TorquePolicy, samples: Samples, args: Args) -> None:
         for rows in order.split(args.minibatch):
             mean = policy.action_mean_of(*(part[rows] for part in samples.inputs))
             ratio = _log_ratio(mean, samples.means[rows], samples.actions[rows], std).exp()
-            gain = samples.advantages[rows]
-            clipped = ratio.clamp(1 - CLIP, 1 + CLIP)
             adam.zero_grad()
-            (-torch.minimum(ratio * gain, clipped * gain).mean()).backward()
+            (-clipped_gain(ratio, samples.advantages[rows], CLIP).mean()).backward()
             torch.nn.utils.clip_grad_norm_(parameters, 0.5)
             adam.step()
 
