@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 import tomllib
 import zipfile
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from itertools import chain
 from pathlib import Path
@@ -14,8 +17,10 @@ from mocap_files import write_amass
 from test_formats import MORE as MORE_MOTIONS
 
 from questsim.errors import InputError
+from questsim.motion.library import save_library
 from questsim.motion.mixture import read_mixture
 from questsim.motion.spec import load_motions, load_recordings
+from questsim.motion.synthesis.synthetic import synthetic_clips
 
 MIXTURE = """
 [[validation]]
@@ -133,6 +138,25 @@ def test_the_shipped_mixture_is_one() -> None:
     assert (
         list(read_mixture(file)) == ["validation", "train"] == list(tomllib.loads(file.read_text()))
     )
+
+
+def test_the_shipped_chains_are_eight_kinds_of_each_library(tmp_path: Path) -> None:
+    file = ROOT / "docs" / "mixtures" / "chains.toml"
+    shutil.copy(file, tmp_path)
+    libraries = re.findall(r"--out docs/mixtures/(\S+\.npz)", file.read_text())
+    assert len(libraries) == 2
+    made = [replace(c, name=f"chain-{i}") for i, c in enumerate(synthetic_clips()[:10])]
+    for library in libraries:
+        save_library(tmp_path / library, [], made)
+    clips = load_motions(f"{tmp_path / 'chains.toml'}:train")
+    assert {clip.kind for clip in clips} == {
+        f"{kind}-{digit}" for kind in ("walked", "chained") for digit in range(8)
+    }
+
+
+@pytest.mark.parametrize("name", ["sit.toml", "steps.toml"])
+def test_the_shipped_mixtures_of_embedded_clips_are_read(name: str) -> None:
+    assert "train" in read_mixture(ROOT / "docs" / "mixtures" / name)
 
 
 def test_a_file_that_cannot_be_read_may_be_excluded_by_name(tmp_path: Path) -> None:

@@ -72,6 +72,10 @@ FIGURES: dict[str, tuple[str | tuple[str, str], ...]] = {
         ("others, F", "F: one tracker of E and both"),
         ("others, student of E", "student of E, a quarter of it steps"),
     ),
+    "training-chains.png": (
+        ("chains, first part", "first part: 144 chains"),
+        ("chains, questsim", "second part: 288 chains, seats, more slopes"),
+    ),
     "training-estimates.png": (
         ("shown estimates", "before: shown estimates of HMD-Poser and LGSIK-Poser"),
         ("shown estimates, again", "of ik and DragPoser, and recordings, too"),
