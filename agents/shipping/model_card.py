@@ -201,8 +201,8 @@ def _ground(training: Mapping[str, Any]) -> str:
     ground = training["ground"]
     where = "on flat ground" if ground == "flat" else f"on `{ground}` ground (see environments)"
     pushed = ", under pushes at the chest" if training["pushed"] else ", without pushes"
-    objects = " and ".join(f"a {kind}" for kind in training.get("objects", ()))
-    return where + pushed + (f", with {objects} in the way" if objects else ", without obstacles")
+    objects = " and ".join(f"`{each}`" for each in training.get("objects", ()))
+    return where + pushed + (f", with the object {objects}" if objects else ", without obstacles")
 
 
 def _purpose(agent: PolicyAgent) -> str:
