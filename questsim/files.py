@@ -163,8 +163,8 @@ def read_toml(path: Path, what: str, fix: str | None = None) -> dict[str, Any]:
         InputError: there is no such file, or it is not TOML.
     """
     try:
-        with path.open("rb") as file:
-            return tomllib.load(file)
+        # Editors on Windows begin files with a byte order mark.
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise InputError(f"no such {what}", path, fix) from None
     except (OSError, ValueError, RecursionError) as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from questsim.body_proportions import Proportions
 from questsim.errors import InputError
 from questsim.motion.clip import FPS
 from questsim.motion.kinematics import standing_clip
+from questsim.motion.library import bare, save_library
+from questsim.motion.motions_command import check_library_path
 from questsim.motion.spec import load_motions
 from questsim.motion.varying.chain import (
     EASED_FRAMES,
@@ -124,3 +127,34 @@ def test_the_command_writes_a_library_and_nothing_when_it_cannot(tmp_path, capsy
     out.unlink()
     assert cli.main([*line, "--each", "50"]) == 2 and not out.exists()
     assert "a chain needs 50" in capsys.readouterr().err
+    assert cli.main(["motions", "chain", "synthetic:sit", "--out", str(out)]) == 2
+    assert "0 of 4 clips begin" in (said := capsys.readouterr().err) and "need no chair" in said
+
+
+@pytest.mark.parametrize("command", ["chain", "vary"])
+def test_the_commands_do_not_replace_their_motions_or_a_folder(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    library = tmp_path / "mine.npz"
+    save_library(library, [], [CLIPS["wave-1"]])
+    (tmp_path / "mine.toml").write_text("[[train]]\nmotions = 'mine.npz'\n")
+    before = library.read_bytes()
+    for motions in ("mine.npz", ".", "synthetic:bow,mine.toml:train"):
+        line = ["motions", command, motions, "--out", "./mine.npz", "--count", "1"]
+        assert cli.main(line) == 2
+        with pytest.raises(InputError, match=r"mine\.npz: is one of the motions"):
+            check_library_path(Path("mine.npz"), motions)
+    assert library.read_bytes() == before
+    (tmp_path / "folder.npz").mkdir()
+    with pytest.raises(InputError, match=r"folder\.npz: is a folder"):
+        check_library_path(Path("folder.npz"))
+    check_library_path(library, "synthetic:bow")
+
+
+def test_a_chain_is_kept_in_a_tenth_of_its_memory_and_stored_alike(tmp_path):
+    (made,) = chains([CLIPS["wave-1"], CLIPS["squat-1"]], 1)
+    small = bare(made)
+    sizes = [sum(a.nbytes for a in vars(c).values() if hasattr(a, "nbytes")) for c in (made, small)]
+    assert sizes[1] < 0.1 * sizes[0]
+    for name, clip in (("made", made), ("small", small)):
+        save_library(tmp_path / f"{name}.npz", [], [clip])
+    assert (tmp_path / "made.npz").read_bytes() == (tmp_path / "small.npz").read_bytes()

@@ -6,17 +6,21 @@ import re
 import shutil
 import tomllib
 import zipfile
+from collections.abc import Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from itertools import chain
 from pathlib import Path
 
+import numpy as np
 import pytest
+from bvh_files import BvhText
 from command_line import ROOT, questsim
 from mocap_files import write_amass
 from test_formats import MORE as MORE_MOTIONS
 
 from questsim.errors import InputError
+from questsim.motion.clip import Clip, source_kind
 from questsim.motion.library import save_library
 from questsim.motion.mixture import read_mixture
 from questsim.motion.spec import load_motions, load_recordings
@@ -94,7 +98,25 @@ def test_the_command_line_takes_a_part(mixture: Path) -> None:
         ("[[train]]\ncount = 3", "", ["has no motions"]),
         ("[[train]]\nmotions = 'synthetic:walk'\ncount = 13", "", ["count is 13 of 12"]),
         ("[[train]]\nmotions = 'synthetic:walk'\ncount = -1", "", ["count is -1"]),
-        ("[[train]]\nmotions = 'synthetic:walk'\ncount = true", "", ["count is of the wrong"]),
+        (
+            "[[train]]\nmotions = 'synthetic:walk'\ncount = true",
+            "",
+            ["count is True, not a whole number"],
+        ),
+        ("[[train]]\nmotions = ['synthetic']", "", ["motions is ['synthetic'], not a text"]),
+        ("[[train]]\nmotions = 'synthetic'\ninclude = 'a'", "", ["include is 'a', not a list"]),
+        ("[[train]]\nmotions = 'synthetic'\ninclude = []", "", ["include is empty"]),
+        ("[[train]]\nmotions = 'synthetic'\ninclude = ['']", "", ["include is empty"]),
+        ("[[train]]\nmotions = 'synthetic'\nkind = ''", "", ["kind is empty"]),
+        ("[[train]]\nmotions = 'synthetic'\nlongest_s = 0", "", ["longest_s is 0, not"]),
+        ("[[train]]\nmotions = 'synthetic'\nlongest_s = nan", "", ["longest_s is nan, not"]),
+        ("[[train]]\nmotions = 'synthetic'\ncount = 0", "", ["count is 0, not a number from 1"]),
+        ("[[train]]\nmotions = 'a.npz'\nseed = 1", "", ["seed has no effect", "leave it out"]),
+        ("train = []", "", ["'train' has no entry", "[[train]]"]),
+        ("[[train]]\nmotions = 'synthetic'\nkind = 'a+b'", "", ["kind is 'a+b'", "variations"]),
+        ("[[train]]\nmotions = 'synthetic'\nkind = '{kind:>99999999999}'", "", ["use {kind}"]),
+        ("[[train]]\nmotions = 'synthetic:sit'\nkind = 'mine'", "", ["needs a chair", "'sit'"]),
+        ("[[train]]\nmotions = 'synthetic:wlak'", "", ["[[train]] number 1: ", "mean walk"]),
         ("[[train]]\nmotions = 'synthetic:walk'\ninclude = ['run*']", "", ["fits 'run*'"]),
         ("[[train]]\nmotions = 'synthetic:walk'\nexclude = ['*']", "", ["no clip is left"]),
         ("[[train]]\nmotions = 'synthetic:walk'\nkind = '{x}'", "", ["kind is '{x}'"]),
@@ -105,7 +127,7 @@ def test_the_command_line_takes_a_part(mixture: Path) -> None:
             "",
             ["number 1: licence is CC-BY-4.0", "is MIT", "leave out"],
         ),
-        ("[[train]]\nmotions = 'nothing'", "", ["no motions 'nothing'"]),
+        ("[[train]]\nmotions = 'nothing'", "", ["[[train]] number 1: no motions 'nothing'"]),
         ("[[train]]\nmotions = 'synthetic:walk'", ":test", ["no part 'test'", "it has train"]),
         ("[[a]]\nmotions = 'x'\n[[b]]\nmotions = 'x'", "", ["several parts", ":a"]),
         ("[[a]\n", "", ["cannot be read"]),
@@ -120,6 +142,89 @@ def test_a_faulty_mixture_is_refused_in_one_line(
     message = str(caught.value)
     assert "\n" not in message
     assert all(word in message for word in words), message
+
+
+PARTS = """
+[[validation]]
+motions = "{}"
+{}
+
+[[train]]
+motions = "{}"
+{}
+"""
+
+
+def angles(clips: Sequence[Clip]) -> set[bytes]:
+    return {clip.qpos[:, 7:].astype(np.float32).tobytes() for clip in clips}
+
+
+@pytest.mark.parametrize(
+    ("validation", "drawn", "train", "seed", "left"),
+    [
+        ("walks.npz", "count = 2\nseed = 3", "walks.npz", "", 10),
+        ("synthetic:walk", "", "walks.npz,synthetic:bow", "", 4),
+        ("a", "", "a,b", "", 1),
+        ("a,b", "", "b,synthetic:bow", "", 4),
+        ("synthetic:sit:6", "seed = 3", "synthetic:sit:6", "seed = 2", 4),
+    ],
+)
+def test_a_clip_is_not_shared_under_another_name_or_seed(
+    mixture: Path, validation: str, drawn: str, train: str, seed: str, left: int
+) -> None:
+    for folder, frames in (("a", 60), ("b", 70)):
+        (mixture.parent / folder).mkdir(exist_ok=True)
+        (mixture.parent / folder / "walk.bvh").write_text(str(BvhText(frames=frames)))
+    file = mixture.with_name("parts.toml")
+    file.write_text(PARTS.format(validation, drawn, train, seed))
+    taken, learnt = (load_motions(f"{file}:{part}") for part in ("validation", "train"))
+    assert len(learnt) == left
+    assert not angles(taken) & angles(learnt)
+    names = [motion.name for motion in load_recordings(f"{file}:train")]
+    assert names == [clip.name for clip in learnt]
+
+
+def test_clips_of_two_libraries_may_have_one_name(tmp_path: Path) -> None:
+    from questsim.motion.library import save_library
+
+    for name, kind in (("a", "walk"), ("b", "squat")):
+        clips = load_motions(f"synthetic:{kind}")[:1]
+        clips = [replace(c, name="chain-0-0", source=f"chain of {c.name}") for c in clips]
+        save_library(tmp_path / f"{name}.npz", [], clips)
+    (tmp_path / "mine.toml").write_text(PARTS.format("a.npz", "", "b.npz", ""))
+    (clip,) = load_motions(f"{tmp_path / 'mine.toml'}:train")
+    assert clip.kind == "squat"
+
+
+def test_files_of_an_editor_on_windows_are_read(tmp_path: Path) -> None:
+    text = "[[train]]\r\nmotions = 'synthetic:walk'\r\nexclude_list = 'kept.txt'\r\n"
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8-sig")
+    (tmp_path / "kept.txt").write_text("synthetic-walk-0.9\r\n", encoding="utf-8-sig")
+    assert len(load_motions(str(tmp_path / "mine.toml"))) == 11
+
+
+@pytest.mark.parametrize("text", ["", "synthetic-walk-0.9.bvh\n"])
+def test_a_list_that_excludes_nothing_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "kept.txt").write_text(text)
+    entry = "[[train]]\nmotions = 'synthetic:walk'\nexclude_list = 'kept.txt'\n"
+    (tmp_path / "mine.toml").write_text(entry)
+    with pytest.raises(InputError, match=r"number 1: none of the . names in .*kept\.txt"):
+        load_motions(str(tmp_path / "mine.toml"))
+
+
+def test_variations_of_a_kind_stay_variations_of_it(tmp_path: Path) -> None:
+    from questsim.motion.library import save_library
+
+    (clip, *_) = load_motions("synthetic:walk")
+    clips = [replace(clip, kind="walk+crouch"), replace(clip, name="a+b", kind="walk")]
+    save_library(tmp_path / "varied.npz", [], clips)
+    entry = "[[train]]\nmotions = 'varied.npz'\nkind = '{kind}-1'\n"
+    (tmp_path / "mine.toml").write_text(entry)
+    kinds = [clip.kind for clip in load_motions(str(tmp_path / "mine.toml"))]
+    assert kinds == ["walk-1+crouch", "walk-1"]
+    assert {source_kind(kind) for kind in kinds} == {"walk-1"}
+    (tmp_path / "mine.toml").write_text(entry.replace("{kind}-1", "{name}"))
+    assert load_motions(str(tmp_path / "mine.toml"))[1].kind == "a-b"
 
 
 def test_a_mixture_states_the_licence_of_files_that_state_none(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 import re
 import threading
 import time
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,14 +11,14 @@ from mocap_files import SMPL_JOINTS, standing, write_amass, write_bvh
 
 from questsim.errors import InputError
 from questsim.motion import datasets, loaded, many
-from questsim.motion.library import load_library
+from questsim.motion.library import load_library, save_library
 from questsim.motion.motions_command import (
     ImportArgs,
     ListMotionsArgs,
     import_motions,
     list_motions,
 )
-from questsim.motion.spec import load_motions, load_recordings
+from questsim.motion.spec import check_seed, load_motions, load_recordings
 from questsim.processes import processes
 
 
@@ -127,6 +128,12 @@ def test_synthetic_motion_of_some_kinds_is_a_part_of_all():
     ("text", "reason"),
     [
         ("synthetic:walk+fly", "synthetic:walk\\+fly: there is no kind 'fly'.*walk"),
+        ("synthetic:walk+walk", "has the kind 'walk' twice"),
+        ("synthetic:walk+all", "all stands alone.*synthetic:all"),
+        ("synthetic:all:5", "all stands alone.*synthetic:random:500"),
+        ("synthetic:walk+bow+duck:2", "2 clips cannot be of 3 kinds; ask for 3"),
+        ("synthetic:walk+bow:0", "'0' is not a number of clips.*synthetic:walk\\+bow:500"),
+        ("synthetic:walk:1234567890", "up to 9 digits"),
         ("nowhere", "no motions 'nowhere'.*synthetic, bandai-namco-2"),
         (" , ", "no motions named"),
         ("bandai-namco-2", "has not been fetched.*questsim motions fetch bandai-namco-2"),
@@ -205,14 +212,52 @@ def test_strict_import_writes_nothing_if_one_file_is_bad(folder, tmp_path):
         ({"paths": ("nowhere",)}, "no such file or folder"),
         ({"units": "miles"}, "units 'miles'"),
         ({"fps": -3.0}, "not within 10-1000"),
+        ({"paths": ("mine.npz",), "licence": "MIT"}, "--licence: has no effect.*libraries"),
+        ({"paths": ("mine.npz",), "height": 1.8}, "--height: has no effect"),
+        ({"paths": ("mine.npz",), "out": "mine.npz"}, "mine.npz: is the only one"),
+        ({"paths": ("clips/stand.bvh",), "smpl": "no.npz"}, "--smpl: has no effect"),
+        ({"out": "folder.npz"}, "folder.npz: is a folder"),
     ],
 )
 def test_import_refuses_wrong_arguments(changes, reason, folder, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    save_library("mine.npz", [], load_motions("synthetic:stand"))
+    (tmp_path / "folder.npz").mkdir()
     args = {"paths": (str(folder),), "out": "lib.npz"} | changes
     with pytest.raises(InputError, match=reason):
         import_motions(ImportArgs(**args))
     assert not (tmp_path / "lib.npz").exists()
+
+
+def test_clips_without_a_motion_are_recordings_too(folder, tmp_path):
+    clips = load_motions("synthetic:stand")
+    save_library(folder / "chains.npz", [], clips)
+    import_motions(ImportArgs((str(folder),), str(tmp_path / "all.npz")))
+    for spec in (str(folder), str(tmp_path / "all.npz")):
+        names = [clip.name for clip in load_motions(spec)]
+        assert len(names) == 3 + len(clips)
+        assert [motion.name for motion in load_recordings(spec)] == names
+    with pytest.raises(InputError, match="synthetic-stand-1: has no motion"):
+        load_motions(str(tmp_path / "all.npz"), own_proportions=True)
+
+
+@pytest.mark.parametrize(
+    ("text", "reads"),
+    [
+        ("mine.npz", False),
+        ("mine.npz,synthetic:bow", True),
+        ("drawn.toml", True),
+        ("seeded.toml", False),
+        ("whole.toml", False),
+    ],
+)
+def test_a_seed_without_embedded_or_drawn_motions_is_refused(text, reads, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, keys in (("drawn", "count = 1"), ("seeded", "count = 1\nseed = 3"), ("whole", "")):
+        (tmp_path / f"{name}.toml").write_text(f"[[train]]\nmotions = 'mine.npz'\n{keys}\n")
+    check_seed(text, 0)
+    with nullcontext() if reads else pytest.raises(InputError, match="--seed: has no effect"):
+        check_seed(text, 4)
 
 
 def test_list_of_nothing_names_the_datasets_and_the_embedded_kinds(capsys):

@@ -11,7 +11,7 @@ from tqdm import tqdm
 from agents.training.watched import beside_ray
 from questsim.errors import INTERRUPTED, at_least
 from questsim.motion.clip import Clip
-from questsim.motion.library import save_library
+from questsim.motion.library import bare, save_library
 from questsim.motion.motions_command import check_library_path
 from questsim.motion.spec import load_motions
 from questsim.motion.variation import SHORTEST_S, Tally, long_enough, variations
@@ -36,7 +36,7 @@ def vary_motions(args: VaryArgs) -> int:
     """
     at_least(1, count=args.count)
     at_least(0, seed=args.seed, first=args.first, workers=args.workers)
-    check_library_path(args.out)
+    check_library_path(args.out, args.spec)
     clips = load_motions(args.spec, seed=args.seed)
     left_out = len(clips) - len(long_enough(clips))
     if left_out:
@@ -49,14 +49,15 @@ def vary_motions(args: VaryArgs) -> int:
         stream = variations(clips, numbers, args.seed, tally=tally)
     try:
         for clip in tqdm(stream, total=args.count, unit=" clips", disable=None):
-            made.append(clip)
+            made.append(bare(clip))
     except KeyboardInterrupt:
         if not made:
             raise
         code = INTERRUPTED
     save_library(args.out, [], made)
     _print_summary(made, tally)
-    print(f"{len(made)} clips, {sum(clip.duration for clip in made):.0f} s, in {args.out}")
+    clips_made = "1 clip" if len(made) == 1 else f"{len(made)} clips"
+    print(f"{clips_made}, {sum(clip.duration for clip in made):.0f} s, in {args.out}")
     if code:
         done = args.first + len(made)
         print(f"interrupted; continue with --first {done} --count {numbers.stop - done}")

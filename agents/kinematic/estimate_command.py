@@ -20,7 +20,7 @@ from questsim.motion.library import save_library
 from questsim.motion.motion import Motion
 from questsim.motion.motions_command import check_library_path
 from questsim.motion.retarget import to_clip
-from questsim.motion.spec import load_recordings
+from questsim.motion.spec import check_seed, load_recordings
 
 
 @beside_ray
@@ -33,13 +33,15 @@ def estimate(args: EstimateArgs) -> None:
     at_least(1, threads=args.threads, max_clips=args.max_clips)
     at_least(0, seed=args.seed)
     scenario = scenario_with(resolve_system(args.agent), args.sensors)
-    check_library_path(args.out)
+    check_library_path(args.out, args.motions)
+    check_seed(args.motions, args.seed)
     motions = at_sensor_rate(load_recordings(args.motions, seed=args.seed), args.max_clips)
     jobs = [Job(args.agent, scenario, motion) for motion in motions]
     with process_map(args.threads, args.workers, args.ray) as mapper:
         done = list(mapper(_estimated, jobs))
     save_library(args.out, [motion for motion, _ in done], [clip for _, clip in done])
-    print(f"{len(done)} motions, {sum(m.duration for m, _ in done):.0f} s, in {args.out}")
+    motions_made = "1 motion" if len(done) == 1 else f"{len(done)} motions"
+    print(f"{motions_made}, {sum(m.duration for m, _ in done):.0f} s, in {args.out}")
 
 
 def _estimated(job: Job) -> tuple[Motion, Clip]:

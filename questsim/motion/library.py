@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Container, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -81,6 +81,16 @@ def save_library(path: str | Path, motions: Sequence[Motion], clips: Sequence[Cl
         np.savez(fresh, **arrays)  # type: ignore[arg-type]
 
 
+def bare(clip: Clip) -> Clip:
+    """What a library stores of a clip: its poses, not what follows from them.
+
+    That takes a tenth of the memory, for commands that make thousands of clips.
+    """
+    derived = ("qvel", "link_position", "link_quat", "link_velocity", "link_angular_velocity")
+    none = {key: np.zeros((0, *getattr(clip, key).shape[1:])) for key in derived}
+    return replace(clip, qpos=clip.qpos.astype(np.float32), contacts=np.zeros((0, 2), bool), **none)
+
+
 def load_library(
     path: str | Path,
     *,
@@ -107,6 +117,17 @@ def load_library(
             motions=_load_motions(archive, path, names) if motions else [],
             clips=_load_clips(archive, path, names) if clips else [],
         )
+
+
+def clip_names(path: Path) -> list[str]:
+    """The names of a library's clips, in their order.
+
+    Raises:
+        InputError: as ``load_library``.
+    """
+    with open_npz(path, MAX_ARRAY_BYTES, "a library") as archive:
+        _check_header(archive, path)
+        return [str(name) for name in _array(archive, path, "clip_name", "U")]
 
 
 def is_library(path: str | Path) -> bool:

@@ -19,9 +19,18 @@ from questsim.extensions import load_extensions
 from questsim.files import whole_file
 from questsim.motion import datasets
 from questsim.motion.cache import cache_dir
+from questsim.motion.clip import Clip
 from questsim.motion.families import registered_families
-from questsim.motion.library import VERSION, Library, is_library, load_library, save_library
+from questsim.motion.library import (
+    VERSION,
+    Library,
+    clip_names,
+    is_library,
+    load_library,
+    save_library,
+)
 from questsim.motion.many import Refused, Retargeted, read_many, say_skipped
+from questsim.motion.motion import Motion
 from questsim.motion.naming import file_names
 from questsim.motion.reading import ReadOptions
 from questsim.motion.sources import content_digest, motion_files
@@ -44,8 +53,13 @@ def split_libraries(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
     return [f for f in files if f not in libraries], [f for f in files if f in libraries]
 
 
-def load_part(part: str, clips: bool, strict: bool) -> Library:
-    """The clips or the motions of one part of a spec other than ``synthetic``."""
+MotionOf = Callable[[Clip], Motion]
+"""Makes the motion of a clip that has none: a variation, a chain."""
+
+
+def load_part(part: str, strict: bool, motion_of: MotionOf | None = None) -> Library:
+    """The clips of one part of a spec other than ``synthetic``; with ``motion_of`` its motions."""
+    clips = motion_of is None
     name, _, split = part.partition(":")
     if name not in datasets.DATASETS and not os.path.exists(part):
         load_extensions()  # it may be a data set of another package
@@ -56,7 +70,7 @@ def load_part(part: str, clips: bool, strict: bool) -> Library:
         raise InputError(f"no motions {part!r}", fix=near + choices())
     files = motion_files(part)
     raw, libraries = split_libraries(files)
-    out, skipped = load_libraries(libraries, motions=not clips, clips=clips)
+    out, skipped = load_libraries(libraries, motions=False, motion_of=motion_of)
     if raw:
         names = file_names(raw)
         key = [f"{name} {content_digest(file)}" for name, file in zip(names, raw, strict=True)]
@@ -75,19 +89,39 @@ def load_part(part: str, clips: bool, strict: bool) -> Library:
 
 
 def load_libraries(
-    files: Sequence[Path], *, motions: bool = True, clips: bool = True
+    files: Sequence[Path], *, motions: bool = True, motion_of: MotionOf | None = None
 ) -> tuple[Library, list[Refused]]:
-    """The content of several libraries, and the libraries that cannot be read."""
+    """The content of several libraries, and the libraries that cannot be read.
+
+    Args:
+        files: the libraries.
+        motions: whether to read the motions beside the clips.
+        motion_of: read the motions alone, and make those of clips without any.
+    """
     out, refused = Library(), []
     for file in files:
         try:
-            loaded = load_library(file, motions=motions, clips=clips)
+            if motion_of is None:
+                loaded = load_library(file, motions=motions)
+            else:
+                loaded = Library(motions=_all_motions(file, motion_of))
         except InputError as error:
             refused.append(Refused(file, str(error)))
             continue
         out.motions.extend(loaded.motions)
         out.clips.extend(loaded.clips)
     return out, refused
+
+
+def _all_motions(file: Path, motion_of: MotionOf) -> list[Motion]:
+    """The motion of each clip of a library, in the clips' order; without clips its motions."""
+    motions, names = load_library(file, clips=False).motions, clip_names(file)
+    known = {motion.name: motion for motion in motions}
+    lacking = {name for name in names if name not in known}
+    if lacking:
+        made = load_library(file, motions=False, names=lacking).clips
+        known |= {clip.name: motion_of(clip) for clip in made}
+    return [known[name] for name in names] if lacking else motions
 
 
 def _load_dataset(name: str, split: str | None, clips: bool) -> Library:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import hashlib
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
@@ -12,10 +13,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from questsim.errors import InputError
+from questsim.errors import InputError, value_text
 from questsim.files import read_toml
 from questsim.motion.clip import Clip
 from questsim.motion.motion import Motion
+from questsim.motion.naming import is_synthetic
 
 T = TypeVar("T", Clip, Motion)
 SUFFIX = ".toml"
@@ -34,7 +36,8 @@ class MixtureEntry:
         count: draw this many of the clips that are left.
         seed: of the drawing and of synthetic motions; by default that of the command.
         kind: the clips' kind of motion, by which ``--vary`` and ``sampling=kind`` balance. It may
-            use ``{kind}``, ``{style}`` and ``{name}`` (without the numbers at its end).
+            use ``{kind}``, ``{style}`` and ``{name}`` (without the numbers at its end). With
+            ``{kind}``, variations stay variations: ``mine-walk+crouch`` of ``mine-{kind}``.
         licence: the licence of clips whose source states none, as an SPDX identifier.
     """
 
@@ -48,18 +51,25 @@ class MixtureEntry:
     kind: str = ""
     licence: str = ""
 
+    @property
+    def reads_seed(self) -> bool:
+        """Whether other seeds give other clips."""
+        return self.count > 0 or any(map(is_synthetic, _pieces(self.motions)))
 
-_TYPES: dict[str, type | tuple[type, ...]] = {
-    "motions": str,
-    "include": list,
-    "exclude": list,
-    "exclude_list": str,
-    "longest_s": (int, float),
-    "count": int,
-    "seed": int,
-    "kind": str,
-    "licence": str,
+
+_TEXT, _TEXTS, _WHOLE = "a text", "a list of texts", "a whole number"
+_TYPES: dict[str, tuple[str, type | tuple[type, ...]]] = {
+    "motions": (_TEXT, str),
+    "include": (_TEXTS, list),
+    "exclude": (_TEXTS, list),
+    "exclude_list": (_TEXT, str),
+    "longest_s": ("a number", (int, float)),
+    "count": (_WHOLE, int),
+    "seed": (_WHOLE, int),
+    "kind": (_TEXT, str),
+    "licence": (_TEXT, str),
 }
+_FIELD = re.compile(r"\{(kind|style|name)\}")
 
 
 def is_mixture(part: str) -> bool:
@@ -77,7 +87,7 @@ def load_mixture(
 
     Args:
         part: ``FILE.toml:PART``, or ``FILE.toml`` if it has one part only.
-        load: loads a motion argument with a seed.
+        load: loads a motion argument with a seed; an ``InputError`` gets the entry's place.
         seed: of entries without one.
 
     Raises:
@@ -90,7 +100,7 @@ def load_mixture(
     wanted = wanted or next(iter(parts))
     if wanted not in parts:
         raise InputError(f"there is no part {wanted!r}", path, f"it has {', '.join(parts)}")
-    taken: set[tuple[str, ...]] = set()
+    taken: set[object] = set()
     for name, entries in parts.items():
         chosen = []
         for number, entry in enumerate(entries, 1):
@@ -98,7 +108,7 @@ def load_mixture(
             chosen.append((entry.motions, _choose(entry, path, where, load, seed, taken)))
         if name == wanted:
             return chosen
-        taken |= {_key(motion, s) for s, motion in _with_seeds(entries, chosen, seed)}
+        taken.update(*(_keys(motion, s) for s, motion in _with_seeds(entries, chosen, seed)))
     raise AssertionError("unreachable")
 
 
@@ -110,9 +120,40 @@ def _with_seeds(
             yield seed if entry.seed is None else entry.seed, motion
 
 
-def _key(motion: Clip | Motion, seed: int) -> tuple[str, ...]:
-    """Identifies a clip: its source's content, or for synthetic ones the seed."""
-    return motion.source_sha256 or f"seed {seed}", motion.name
+def _keys(motion: Clip | Motion, seed: int) -> set[object]:
+    """Each identifies a clip: its frames, and its name in its source.
+
+    Frames alone do not: a library rounds embedded motions, and a file may be imported in two ways.
+    Names alone do not: two libraries of chains may have the same ones.
+    """
+    numbers = motion.qpos if isinstance(motion, Clip) else motion.rotations
+    root = numbers if isinstance(motion, Clip) else motion.root_position
+    digest = hashlib.sha256(root.astype(np.float32).tobytes())
+    digest.update(numbers.astype(np.float32).tobytes())
+    source = motion.source_sha256 or f"seed {seed}, {motion.source}"
+    return {digest.digest(), (source, motion.name)}
+
+
+def mixture_reads_seed(part: str) -> bool:
+    """Whether the clips of a part of a mixture file depend on the seed of the command.
+
+    Raises:
+        InputError: as ``read_mixture``.
+    """
+    path, wanted = _split(part) or (Path(part), "")
+    parts = read_mixture(path)
+    entries = parts.get(wanted, []) if wanted else next(iter(parts.values()))
+    return any(entry.seed is None and entry.reads_seed for entry in entries)
+
+
+def mixture_sources(part: str) -> list[str]:
+    """The motion arguments of all entries of a mixture file.
+
+    Raises:
+        InputError: as ``read_mixture``.
+    """
+    path, _ = _split(part) or (Path(part), "")
+    return [entry.motions for entries in read_mixture(path).values() for entry in entries]
 
 
 def _choose(
@@ -121,22 +162,29 @@ def _choose(
     where: str,
     load: Callable[[str, int], list[T]],
     seed: int,
-    taken: set[tuple[str, ...]],
+    taken: set[object],
 ) -> list[T]:
     seed = seed if entry.seed is None else entry.seed
-    found = load(entry.motions, seed)
-    listed = _listed(entry, path, where)
+    try:
+        found = load(entry.motions, seed)
+    except InputError as error:
+        inner = f": {error.where}" if error.where is not None else ""
+        raise InputError(error.what, f"{path}: {where}{inner}", error.fix) from None
     names = {motion.name for motion in found}
+    listed = _listed(entry, path, where, names)
     for pattern in (*entry.include, *entry.exclude):
         # A file that could not be read has no clip, but may well be excluded.
         known = names if pattern in entry.include else names | _stems(entry.motions)
         if not any(fnmatchcase(name, pattern) for name in known):
             raise InputError(f"no clip fits {pattern!r}", f"{path}: {where}", _names(found))
+    fresh = [motion for motion in found if not taken & _keys(motion, seed)]
+    if found and not fresh:
+        what = "an earlier part of the file takes all of its clips"
+        raise InputError(what, f"{path}: {where}", "name others, or let count leave some")
     out = [
         motion
-        for motion in found
-        if _key(motion, seed) not in taken
-        and motion.name not in listed
+        for motion in fresh
+        if motion.name not in listed
         and (not entry.include or any(fnmatchcase(motion.name, p) for p in entry.include))
         and not any(fnmatchcase(motion.name, p) for p in entry.exclude)
         and (not entry.longest_s or motion.duration <= entry.longest_s)
@@ -149,7 +197,9 @@ def _choose(
     if not out:
         raise InputError("no clip is left", f"{path}: {where}", "check its include and exclude")
     if entry.kind:
-        out = [replace(motion, kind=_kind(entry.kind, motion)) for motion in out]
+        out = [
+            replace(motion, kind=_kind(entry.kind, motion, f"{path}: {where}")) for motion in out
+        ]
     if entry.licence:
         _check_licence(out, entry.licence, f"{path}: {where}")
         out = [replace(motion, licence=entry.licence) for motion in out]
@@ -164,14 +214,28 @@ def _check_licence(found: Sequence[Clip | Motion], licence: str, where: str) -> 
             raise InputError(what, where, "leave out the key licence")
 
 
-def _kind(pattern: str, motion: Clip | Motion) -> str:
+def _kind(pattern: str, motion: Clip | Motion, where: str) -> str:
+    """The kind that an entry gives to a motion.
+
+    Raises:
+        InputError: it hides that the motion needs a chair.
+    """
+    from questsim.motion.synthesis.wish import SEATED
+
     stem = re.sub(r"[\W\d_]+$", "", motion.name) or motion.name
-    return pattern.format(kind=motion.kind, style=motion.style, name=stem)
+    kind, plus, changes = motion.kind.partition("+")
+    fields = {"kind": kind, "style": motion.style, "name": stem}
+    # A plus in a name would make it a variation.
+    given = _FIELD.sub(lambda found: fields[found[1]].replace("+", "-"), pattern)
+    if motion.kind in SEATED and given not in SEATED:
+        what = f"kind is {given!r}, but {motion.name} needs a chair, which its kind stands for"
+        raise InputError(what, where, f"leave out the key kind, or write {motion.kind!r}")
+    return given + plus + changes if "{kind}" in pattern else given
 
 
 def _stems(motions: str) -> set[str]:
     """Names of the files and of the folders' files that a motion argument names."""
-    places = [Path(piece.strip()) for piece in motions.split(",")]
+    places = [Path(piece) for piece in _pieces(motions)]
     files = [file for place in places if place.is_dir() for file in place.rglob("*")]
     return {file.stem for file in (*places, *files) if file.is_file()}
 
@@ -180,18 +244,24 @@ def _names(found: Sequence[Clip | Motion]) -> str:
     return f"its clips are named like {', '.join(m.name for m in found[:3])}"
 
 
-def _listed(entry: MixtureEntry, path: Path, where: str) -> set[str]:
+def _listed(entry: MixtureEntry, path: Path, where: str, names: set[str]) -> set[str]:
+    """The names in ``exclude_list``, of which the entry has at least one."""
     if not entry.exclude_list:
         return set()
     file = path.parent / entry.exclude_list
     try:
-        lines = file.read_text(encoding="utf-8").splitlines()
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8"
         raise InputError(
             f"exclude_list {file} cannot be read ({reason})", f"{path}: {where}"
         ) from None
-    return {line.strip() for line in lines if line.strip()}
+    listed = {line.strip() for line in lines if line.strip()}
+    if not listed & (names | _stems(entry.motions)):
+        what = f"none of the {len(listed)} names in {file} is one of its clips"
+        fix = f"write names such as {min(names, default='walk')}, one a line, or leave the list out"
+        raise InputError(what, f"{path}: {where}", fix)
+    return listed
 
 
 def read_mixture(path: Path) -> dict[str, list[MixtureEntry]]:
@@ -206,6 +276,9 @@ def read_mixture(path: Path) -> dict[str, list[MixtureEntry]]:
             raise InputError(
                 f"{name[:80]!r} is not a list of tables", path, f"write [[{name[:80]}]]"
             )
+        if not entries:
+            fix = f"write [[{name[:80]}]] and a line motions = ..."
+            raise InputError(f"{name[:80]!r} has no entry", path, fix)
     if not table:
         raise InputError("has no part", path, "write [[train]] and a line motions = ...")
     return {
@@ -221,32 +294,46 @@ def _entry(table: dict[str, Any], path: Path, where: str) -> MixtureEntry:
             near = difflib.get_close_matches(key, known, 1)
             hint = f" (did you mean {near[0]}?)" if near else ""
             raise InputError(f"unknown key {key[:80]!r}{hint}", place, f"keys: {', '.join(known)}")
-        if not isinstance(value, _TYPES[key]) or isinstance(value, bool):
-            raise InputError(f"the value of {key} is of the wrong type", place)
-        if isinstance(value, list) and not all(isinstance(text, str) for text in value):
-            raise InputError(f"{key} is not a list of texts", place)
-        if isinstance(value, int | float) and not 0 <= value < 1e9:
-            raise InputError(f"{key} is {value}, not a number from 0", place)
-    if not table.get("motions"):
+        _check_value(key, value, place)
+    if "motions" not in table:
         raise InputError("has no motions", place, 'write motions = "bandai-namco-2:train"')
-    if any(is_mixture(piece.strip()) for piece in table["motions"].split(",")):
+    if any(map(is_mixture, _pieces(table["motions"]))):
         raise InputError("motions names a mixture file", place, "write its entries here")
-    try:
-        str(table.get("kind", "")).format(kind="", style="", name="")
-    except (KeyError, ValueError, IndexError, AttributeError):
-        raise InputError(
-            f"kind is {table['kind']!r}", place, "use {kind}, {style}, {name}"
-        ) from None
-    motions = ",".join(_beside(path, piece) for piece in table["motions"].split(","))
     values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}
-    values["motions"] = motions
-    return MixtureEntry(**values)
+    values["motions"] = ",".join(_beside(path, piece) for piece in _pieces(table["motions"]))
+    entry = MixtureEntry(**values)
+    if entry.seed is not None and not entry.reads_seed:
+        what = "seed has no effect: motions are neither embedded nor drawn by count"
+        raise InputError(what, place, "leave it out")
+    return entry
+
+
+def _check_value(key: str, value: Any, place: str) -> None:
+    """Refuse a value of another type, or one with which the key would do nothing."""
+    says, types = _TYPES[key]
+    texts = value if isinstance(value, list) else []
+    wrong = not isinstance(value, types) or not all(isinstance(text, str) for text in texts)
+    if wrong or isinstance(value, bool):
+        raise InputError(f"{key} is {value_text(value)}, not {says}", place)
+    if isinstance(value, int | float):
+        least = 0 if key == "seed" else 1 if key == "count" else 1e-3
+        if not least <= value < 1e9:
+            raise InputError(f"{key} is {value}, not a number from {least:g}", place, "change it")
+    elif not value or not all(text.strip() for text in texts or [value]):
+        raise InputError(f"{key} is empty", place, "write something, or leave it out")
+    if key == "kind" and set("{}+") & set(_FIELD.sub("", value)):
+        fix = "use {kind}, {style} and {name}; a + is for variations alone"
+        raise InputError(f"kind is {value_text(value)}", place, fix)
+
+
+def _pieces(motions: str) -> list[str]:
+    return [piece.strip() for piece in motions.split(",")]
 
 
 def _beside(path: Path, piece: str) -> str:
     """A file or folder beside the mixture file, or the piece as it is."""
-    beside = path.parent / piece.strip()
-    return str(beside) if beside.exists() else piece.strip()
+    beside = path.parent / piece
+    return str(beside) if beside.exists() else piece
 
 
 def _split(part: str) -> tuple[Path, str] | None:

@@ -9,13 +9,14 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryFile
 
 import numpy as np
 
 from questsim.errors import InputError, at_least
 from questsim.motion.clip import Clip
 from questsim.motion.datasets import DATASETS, fetch, is_fetched
-from questsim.motion.library import Library, save_library
+from questsim.motion.library import Library, bare, save_library
 from questsim.motion.loaded import load_libraries, split_libraries
 from questsim.motion.many import PartMapper, Refused, Retargeted, read_many
 from questsim.motion.motion import Motion
@@ -23,7 +24,7 @@ from questsim.motion.naming import file_names, named, numbered
 from questsim.motion.reading import ReadOptions, explain, read_as_recorded
 from questsim.motion.skeletons import write_mapping
 from questsim.motion.sources import KINDS, motion_files
-from questsim.motion.spec import load_motions
+from questsim.motion.spec import load_motions, reads_file
 from questsim.motion_options import (
     ChainArgs,
     FetchArgs,
@@ -60,8 +61,11 @@ def import_motions(args: ImportArgs, mapper: PartMapper | None = None) -> None:
         raise InputError("no files given", fix=f"name {KINDS}, or folders or zips of them")
     skipped = _Skipped(strict=args.strict or len(args.paths) == 1)
     files = _files(args.paths, out, skipped)
+    if not files and not skipped.count:
+        raise InputError("is the only one of the files", out, "choose another --out")
     skipped.strict = args.strict or len(files) + skipped.count == 1
     raw, libraries = split_libraries(files)
+    _refuse_unused(args, raw, libraries)
     if args.explain:
         _explain(raw[:MAX_REPORTS], options)
     done = _read(raw, options, skipped, args.explain, mapper)
@@ -84,6 +88,27 @@ def import_motions(args: ImportArgs, mapper: PartMapper | None = None) -> None:
     print(f"{count}, {sum(c.duration for c in clips):.0f} s, in {out}{skipped}")
     clip, library_path = shlex.quote(clips[0].name), shlex.quote(str(out))
     print(f"look at one: questsim motions show {clip} --motions {library_path}")
+
+
+_OF_READING = (
+    "units", "up", "fps", "mapping", "height", "smpl", "licence", "accept", "explain",
+)  # fmt: skip
+"""Options that say how files are read."""
+
+
+def _refuse_unused(args: ImportArgs, raw: Sequence[Path], libraries: Sequence[Path]) -> None:
+    """Refuse options that none of the files needs.
+
+    Raises:
+        InputError: naming the option.
+    """
+    plain = ImportArgs(args.paths, args.out)
+    given = [f"--{o}" for o in _OF_READING if getattr(args, o) != getattr(plain, o)]
+    if given and libraries and not raw:
+        what = "has no effect: these libraries have been imported before"
+        raise InputError(what, given[0], "leave it out, or import the files again")
+    if args.smpl is not None and not any(file.suffix.lower() == ".npz" for file in raw):
+        raise InputError("has no effect: none is an AMASS file (.npz)", "--smpl", "leave it out")
 
 
 @dataclass
@@ -147,32 +172,47 @@ def chain_motions(args: ChainArgs) -> None:
         InputError: too few motions can be chained, or the library cannot be written; then there is
             no library.
     """
-    from questsim.motion.varying.chain import LONGEST_S, can_be_chained, chains
+    from questsim.motion.varying.chain import LIMITS, can_be_chained, chains
 
     at_least(1, count=args.count, each=args.each)
     at_least(0, seed=args.seed)
-    check_library_path(args.out)
+    check_library_path(args.out, args.spec)
     clips = load_motions(args.spec, seed=args.seed)
-    made = list(chains(clips, args.count, args.each, args.seed))
+    made = [bare(chain) for chain in chains(clips, args.count, args.each, args.seed)]
     save_library(args.out, [], made)
     usable = sum(map(can_be_chained, clips))
-    limits = f"begin and end at rest, last at most {LONGEST_S:g} s and need no chair"
-    print(f"{usable} of {len(clips)} clips {limits}")
-    print(f"{len(made)} chains, {sum(clip.duration for clip in made):.0f} s, in {args.out}")
+    print(f"{usable} of {len(clips)} clips {LIMITS}")
+    count = "1 chain" if len(made) == 1 else f"{len(made)} chains"
+    print(f"{count}, {sum(clip.duration for clip in made):.0f} s, in {args.out}")
     licences = sorted({clip.licence or "not stated" for clip in made})
     print(f"licence: {', '.join(licences)}")
 
 
-def check_library_path(out: Path) -> None:
+def check_library_path(out: Path, spec: str | Sequence[str] | None = None) -> None:
     """Refuse what cannot become a library, before the work begins.
 
+    Args:
+        out: the library to be written.
+        spec: the motions that it is made of, as in ``load_motions``.
+
     Raises:
-        InputError: the name has another ending, or there is no such folder.
+        InputError: the name has another ending, there is no such folder, it cannot be written, or
+            the library would replace motions that it is made of.
     """
     if out.suffix.lower() != ".npz":
         raise InputError("a library's name ends in .npz", out)
     if not out.parent.is_dir():
         raise InputError("no such folder", out.parent, "create it first")
+    if out.is_dir():
+        raise InputError("is a folder", out, "choose another --out")
+    try:
+        with TemporaryFile(dir=out.parent):
+            pass
+    except OSError as error:
+        raise InputError(f"cannot be written ({error.strerror})", out) from None
+    if spec is not None and out.exists() and reads_file(spec, out):
+        what = "is one of the motions, which the new library would replace"
+        raise InputError(what, out, "choose another --out")
 
 
 def _read(

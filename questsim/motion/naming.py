@@ -13,6 +13,13 @@ from questsim.motion.clip import Clip
 from questsim.motion.motion import Motion
 
 _Named = TypeVar("_Named", Motion, Clip)
+SYNTHETIC = "synthetic"
+"""Embedded motions, as a part of a motion argument, or the part before its colon."""
+
+
+def is_synthetic(part: str) -> bool:
+    """Whether a part of a motion argument names embedded motions."""
+    return part.partition(":")[0] == SYNTHETIC
 
 
 def named(item: _Named, name: str) -> _Named:

@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from questsim.errors import InputError
 from questsim.motion.clip import Clip
-from questsim.motion.mixture import is_mixture, load_mixture
+from questsim.motion.mixture import (
+    is_mixture,
+    load_mixture,
+    mixture_reads_seed,
+    mixture_sources,
+)
 from questsim.motion.motion import Motion
-from questsim.motion.naming import named, place, split_parts, unique_names
+from questsim.motion.naming import (
+    SYNTHETIC,
+    is_synthetic,
+    named,
+    place,
+    split_parts,
+    unique_names,
+)
 from questsim.waiting import said_if_slow
 
 if TYPE_CHECKING:
     from questsim.motion.library import Library
 
-SYNTHETIC = "synthetic"
 RANDOM, HELD_OUT = "random", "held-out"
 RANDOM_COUNT = 100
 """Number of clips of ``synthetic:random`` and ``synthetic:held-out`` if not given."""
@@ -61,10 +73,14 @@ def load_motions(
     """
 
     def of(part: str, seed: int) -> list[Clip]:
-        if _is_synthetic(part):
+        if is_synthetic(part):
             return _synthetic(part, seed)
-        found = _load(part, not own_proportions, strict)
-        return _in_proportion(part, found.motions) if own_proportions else found.clips
+        if not own_proportions:
+            return _load(part, strict).clips
+        from questsim.motion.retarget import to_clip
+
+        motions = _load(part, strict, _without_motion).motions
+        return [to_clip(motion, own_proportions=True) for motion in motions]
 
     clips = _all_parts(spec, seed, of)
     if height_m is not None:
@@ -76,13 +92,9 @@ def load_motions(
     return clips
 
 
-def _in_proportion(part: str, motions: Sequence[Motion]) -> list[Clip]:
-    from questsim.motion.retarget import to_clip
-
-    if not motions:
-        what = "has no motions, whose bodies could be measured"
-        raise InputError(what, part, "import the files again with this version")
-    return [to_clip(motion, own_proportions=True) for motion in motions]
+def _without_motion(clip: Clip) -> Motion:
+    what = "has no motion, whose body could be measured"
+    raise InputError(what, clip.name, "leave it out, or import its file again with this version")
 
 
 def load_recordings(
@@ -104,10 +116,9 @@ def load_recordings(
     from questsim.motion.retarget_back import to_motion
 
     def of(part: str, seed: int) -> list[Motion]:
-        if _is_synthetic(part):
+        if is_synthetic(part):
             return [to_motion(clip) for clip in _synthetic(part, seed)]
-        recorded = _load(part, False, strict).motions
-        return recorded or [to_motion(clip) for clip in _load(part, True, strict).clips]
+        return _load(part, strict, to_motion).motions
 
     motions = _all_parts(spec, seed, of)
     if not motions:
@@ -133,10 +144,51 @@ def _all_parts(
     return several(spec, seed)
 
 
-def _load(part: str, clips: bool, strict: bool) -> Library:
+def _load(part: str, strict: bool, motion_of: Callable[[Clip], Motion] | None = None) -> Library:
     from questsim.motion.loaded import load_part  # late: embedded motions need no readers
 
-    return load_part(part, clips, strict)
+    return load_part(part, strict, motion_of)
+
+
+def reads_file(spec: str | Sequence[str], file: Path) -> bool:
+    """Whether a motion argument names a file, or a folder or a mixture with it.
+
+    Raises:
+        InputError: no motions are named, or a mixture file cannot be read.
+    """
+    places = file.resolve(), *file.resolve().parents
+    return any(
+        any(reads_file(source, file) for source in mixture_sources(part))
+        if is_mixture(part)
+        else not is_synthetic(part) and Path(part).resolve() in places
+        for part in parts_of(spec)
+    )
+
+
+def check_seed(spec: str | Sequence[str], seed: int) -> None:
+    """Refuse the option ``--seed`` where none of the motions depends on it.
+
+    Raises:
+        InputError: the seed is not 0, and no motions are embedded or drawn at random.
+    """
+    if seed and not any(map(_reads_seed, parts_of(spec))):
+        what = "has no effect: it is the seed of embedded motions, and none is among these"
+        raise InputError(what, "--seed", "leave it out")
+
+
+def check_own_proportions(spec: str | Sequence[str]) -> None:
+    """Refuse the option ``--own-proportions`` where all motions are embedded.
+
+    Raises:
+        InputError: they are.
+    """
+    if all(map(is_synthetic, parts_of(spec))):
+        what = "has no effect: embedded motions are of the default body"
+        raise InputError(what, "--own-proportions", "leave it out, or name motions of people")
+
+
+def _reads_seed(part: str) -> bool:
+    return mixture_reads_seed(part) if is_mixture(part) else is_synthetic(part)
 
 
 def parts_of(spec: str | Sequence[str]) -> list[str]:
@@ -151,10 +203,6 @@ def parts_of(spec: str | Sequence[str]) -> list[str]:
 
         raise InputError("no motions named", fix=choices())
     return parts
-
-
-def _is_synthetic(part: str) -> bool:
-    return part.partition(":")[0] == SYNTHETIC
 
 
 @said_if_slow("making embedded motions, which are then kept in the cache ...")
@@ -179,10 +227,15 @@ def _synthetic(part: str, seed: int) -> list[Clip]:
     if kinds == "all":
         return synthetic_clips(seed) + random.action_clips(tuple(ACTIONS), seed)
     wanted, known = first.split("+"), (*KINDS, *ACTIONS, *SEATED)
+    if "all" in wanted:
+        what = "all stands alone, without other kinds and without a count"
+        raise InputError(what, part, f"write {SYNTHETIC}:all, or {SYNTHETIC}:{RANDOM}:500")
     for kind in wanted:
         if kind not in known:
             choices = ", ".join((*known, "all", f"{RANDOM}:COUNT", f"{HELD_OUT}:COUNT"))
             raise InputError(f"there is no kind {kind!r}", part, f"choose from {choices}")
+        if wanted.count(kind) > 1:
+            raise InputError(f"has the kind {kind!r} twice", part, "write it once")
     if counted:
         return _random_clips(part, wanted, _count(number, part), seed)
     # Each is generated only on request.
@@ -197,6 +250,9 @@ def _random_clips(part: str, kinds: Sequence[str], count: int, seed: int) -> lis
     from questsim.motion.synthesis.random_clips import random_clips
     from questsim.motion.synthesis.synthetic import SEATED, seated_clips
 
+    if count < len(kinds):
+        what = f"{count} clip{'s' if count > 1 else ''} cannot be of {len(kinds)} kinds"
+        raise InputError(what, part, f"ask for {len(kinds)} or more")
     seated = set(kinds) & set(SEATED)
     if seated and not seated.issuperset(kinds):
         raise InputError("some kinds need a chair, and some do not", part, "write two parts")
@@ -212,9 +268,8 @@ def _random_clips(part: str, kinds: Sequence[str], count: int, seed: int) -> lis
 
 def _count(text: str, part: str) -> int:
     if not text.isdecimal() or len(text) > MAX_DIGITS or int(text) < 1:
-        raise InputError(
-            f"{text!r} is not a number of clips", part, f"write {SYNTHETIC}:{RANDOM}:500"
-        )
+        what = f"{text!r} is not a number of clips, 1 or more with up to {MAX_DIGITS} digits"
+        raise InputError(what, part, f"write {':'.join(part.split(':')[:2])}:500")
     return int(text)
 
 

@@ -31,6 +31,10 @@ REST_M_S = 0.3
 """A clip whose pelvis is slower in its first and last frame can be performed from rest."""
 LONGEST_S = 10.0
 """Longer clips are not chained: a chain has several."""
+LIMITS = (
+    f"begin and end at rest, last {3 * EASED_FRAMES / FPS:g} to {LONGEST_S:g} s and need no chair"
+)
+"""What the clips of a chain do, for messages."""
 
 _STILL_S, _BETWEEN_S, _OVER_S = (0.8, 2.5), (0.5, 1.4), (0.9, 1.6)
 """Ranges of the time of standing at first and in between, and of going over to the next pose."""
@@ -71,8 +75,8 @@ def chains(clips: Sequence[Clip], count: int, each: int = 2, seed: int = 0) -> I
     check_bodies(clips, "chains")
     pool = [clip for clip in clips if can_be_chained(clip)]
     if len(pool) < each:
-        what = f"{len(pool)} of {len(clips)} clips begin and end at rest within {LONGEST_S:g} s"
-        raise InputError(what, "motions", f"a chain needs {each}")
+        what = f"{len(pool)} of {len(clips)} clips {LIMITS}"
+        raise InputError(what, "chains", f"a chain needs {each}: name more motions")
     for number in range(count):
         rng = np.random.default_rng([seed, number])
         chosen = rng.choice(len(pool), each, replace=False)
