@@ -321,7 +321,7 @@ def _check_value(key: str, value: Any, place: str) -> None:
             raise InputError(f"{key} is {value}, not a number from {least:g}", place, "change it")
     elif not value or not all(text.strip() for text in texts or [value]):
         raise InputError(f"{key} is empty", place, "write something, or leave it out")
-    if key == "kind" and set("{}+") & set(_FIELD.sub("", value)):
+    if key == "kind" and set("{}+") & set(_FIELD.sub("", str(value))):
         fix = "use {kind}, {style} and {name}; a + is for variations alone"
         raise InputError(f"kind is {value_text(value)}", place, fix)
 
