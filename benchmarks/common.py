@@ -7,22 +7,28 @@ import json
 import statistics
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
 from envs import QuestVecEnv
+from questsim.errors import BAD_INPUT
 from questsim.motion.clip import Clip
 from questsim.motion.synthesis.synthetic import synthetic_clips
+
+
+class _Parser(argparse.ArgumentParser):
+    """One whose errors are one line, as those of the other commands."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_INPUT, f"error: {message}; see {self.prog} --help\n")
 
 
 def arguments(
     description: str, texts: Mapping[str, str] | None = None, **defaults: int
 ) -> argparse.Namespace:
     """Options of a benchmark: ``--json``, texts and whole numbers with the given defaults."""
-    parser = argparse.ArgumentParser(
-        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = _Parser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     for name, text in (texts or {}).items():
         parser.add_argument(f"--{name}", default=text)

@@ -33,6 +33,7 @@ these clips alone, with devices in their place and without losses.
 from __future__ import annotations
 
 import argparse
+import math
 import resource
 import sys
 import time
@@ -66,6 +67,8 @@ from questsim.synthetic_user import EXAMPLE_CLIPS, STILL_S, SyntheticUser, strea
 RATE_HZ, LOSS, JITTER_S = 90.0, 0.01, 0.02
 COUNTS = {"minutes": 10, "clips": 60, "rest": 0, "users": 0, "statures": 0}
 """Options that are whole numbers, with their defaults."""
+RANGES = {"minutes": (1, 1440), "clips": (1, 100_000), "rest": (0, 1)}
+"""Least and greatest values; of the other options 0 and any number."""
 USERS_CLIPS = 6
 """Clips that each of several users performs."""
 REST_M_S = 0.3
@@ -89,7 +92,11 @@ def main() -> None:
     elif args.statures:
         report(all_statures(agent, loaded, args.statures, assist_n), args.json)
     else:
-        clips = choose_clips([c for c in loaded if not args.rest or at_rest(c)], args.clips)
+        begun = [clip for clip in loaded if not args.rest or at_rest(clip)]
+        if not begun:
+            what = f"none of {len(loaded)} clips begins at rest"
+            raise InputError(what, "--motions", "name others, or leave --rest out")
+        clips = choose_clips(begun, args.clips)
         report(starts(agent, clips, assist_n), args.json)
 
 
@@ -97,7 +104,7 @@ def check_options(args: argparse.Namespace) -> None:
     """Check that each option given has an effect.
 
     Raises:
-        InputError: one has none, or a count is negative.
+        InputError: one has none, or a value is out of its range.
     """
     if (args.users or args.statures) and not args.motions:
         raise InputError("need clips", "--users, --statures", "name them with --motions")
@@ -106,10 +113,15 @@ def check_options(args: argparse.Namespace) -> None:
     beside = f"beside --{only}" if only else "beside --motions" if args.motions else "alone"
     for name, default in COUNTS.items():
         value = getattr(args, name)
-        if value < 0:
-            raise InputError(f"{value} is below 0", f"--{name}", "give 0 or more")
+        least, most = RANGES.get(name, (0, math.inf))
+        if not least <= value <= most:
+            raise InputError(f"is {value}, not {_range(least, most)}", f"--{name}", "change it")
         if value != default and name not in read:
             raise InputError(f"has no effect {beside}", f"--{name}", "leave it out")
+
+
+def _range(least: float, most: float) -> str:
+    return f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
 
 
 def bad_stream(minutes: float) -> list[DeviceFrame]:
@@ -176,6 +188,8 @@ def at_rest(clip: Clip) -> bool:
 def starts(agent: str, clips: Sequence[Clip], assist_n: float) -> dict[str, float]:
     """Success in percent of scored and of calibrated starts.
 
+    Figures of clips begun at rest, and of avatars in the same frames, stand there if there are any.
+
     Args:
         agent: the policy that follows.
         clips: clips to follow.
@@ -202,6 +216,15 @@ def starts(agent: str, clips: Sequence[Clip], assist_n: float) -> dict[str, floa
         if FPS <= number < len(rollout.link_position)
     ]
     rest = np.array([at_rest(clip) for clip in clips])
+    at_rest_percent = {
+        f"at_rest_{start}_percent": 100.0 * float(done[rest].mean())
+        for start, done in (
+            ("scored_start", scored),
+            ("scored_standing_start", standing),
+            ("calibrated_start", calibrated),
+        )
+        if rest.any()
+    }
     return {
         "clips": len(clips),
         "assist_n": assist_n,
@@ -209,15 +232,12 @@ def starts(agent: str, clips: Sequence[Clip], assist_n: float) -> dict[str, floa
         "scored_standing_start_percent": 100.0 * float(standing.mean()),
         "calibrated_start_percent": 100.0 * float(calibrated.mean()),
         "clips_begun_at_rest": int(rest.sum()),
-        "at_rest_scored_start_percent": 100.0 * float(scored[rest].mean()),
-        "at_rest_scored_standing_start_percent": 100.0 * float(standing[rest].mean()),
-        "at_rest_calibrated_start_percent": 100.0 * float(calibrated[rest].mean()),
+        **at_rest_percent,
         "points_lost": 100.0 * float(scored.mean() - calibrated.mean()),
         "points_goal": 3.0,
         "fell_before_full_speed_percent": 100.0 * float(np.mean([e.fell_early for e in live])),
         "lost_in_both": int((~scored & ~calibrated).sum()),
-        "avatars_apart_cm": 100.0 * float(np.mean(apart)),
-    }
+    } | ({"avatars_apart_cm": 100.0 * float(np.mean(apart))} if apart else {})
 
 
 @dataclass(frozen=True)

@@ -163,6 +163,9 @@ class EnvConfig:
             )
         if self.heights is not None:
             low, high = self.heights
+            if low > high:
+                what = f"the least stature, {low:g} m, is above the greatest, {high:g} m"
+                raise InputError(what, "heights", "give the least first")
             if not MIN_HEIGHT_M <= low <= high <= MAX_HEIGHT_M:
                 given = f"{low:g} m" if low == high else f"{low:g} to {high:g} m"
                 within = f"within {MIN_HEIGHT_M} to {MAX_HEIGHT_M} m"

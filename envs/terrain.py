@@ -175,6 +175,20 @@ TERRAINS: dict[str, Terrain] = {
 """Terrains by name: what ``QuestSimRough-v0`` and ``train.py --env rough`` use."""
 
 
+_COMMON = ("direction", "difficulty", "size_m", "seed")
+_READS: dict[str, tuple[str, ...]] = {
+    "flat": ("size_m",),
+    "rough": ("amplitude_m", "wavelength_m", *_COMMON),
+    "waves": ("amplitude_m", "wavelength_m", *_COMMON),
+    "slope": ("slope_deg", *_COMMON),
+    "stairs": ("step_height_m", "step_depth_m", *_COMMON),
+    "steps": ("step_height_m", *_COMMON),
+    "gaps": ("gap_m", "gap_depth_m", *_COMMON),
+    COURSE: ("direction", "difficulty", "levels", "tile_m", "spread_m", "flat_share", "seed"),
+}
+"""Options that each kind reads; a registered kind may read all."""
+
+
 def terrain_named(text: str, where: str = "terrain") -> Terrain:
     """Parse a terrain: a name, optionally followed by options.
 
@@ -183,7 +197,8 @@ def terrain_named(text: str, where: str = "terrain") -> Terrain:
         where: source of the text, for error messages.
 
     Raises:
-        InputError: an unknown terrain or option, or a value out of range.
+        InputError: an unknown terrain or option, an option that the terrain does not read, or a
+            value out of range.
     """
     name, _, options = text.partition(":")
     if name not in TERRAINS:
@@ -199,6 +214,10 @@ def terrain_named(text: str, where: str = "terrain") -> Terrain:
             raise InputError(
                 f"{option!r} is not an option of a terrain", where, f"it has {settable}"
             )
+        reads = _READS.get(TERRAINS[name].kind, tuple(known))
+        if key not in reads:
+            what = f"{option!r} has no effect on the terrain {name}"
+            raise InputError(what, where, f"it reads {', '.join(reads)}")
         try:
             changes[key] = known[key](value)
         except ValueError as error:

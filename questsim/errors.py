@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +96,20 @@ def at_least(least: float, **options: float | None) -> None:
         finite(f"--{name.replace('_', '-')}", value)
         if value < least:
             raise InputError(f"is {value:g}, not at least {least:g}", f"--{name.replace('_', '-')}")
+
+
+def each_once(**options: Sequence[object]) -> None:
+    """Reject options of a command that name something twice.
+
+    Args:
+        **options: values by name.
+
+    Raises:
+        InputError: with the name of the first such option.
+    """
+    for name, values in options.items():
+        if len(set(values)) < len(values):
+            raise InputError("has a value twice", f"--{name.replace('_', '-')}", "give each once")
 
 
 def finite(where: str, value: float) -> None:

@@ -64,7 +64,17 @@ def parse(
         command = prog or Path(sys.argv[0]).name
         raise _error(box.getvalue(), words, f"see {command} --help") from None
     _check_finite(found)
+    _check_given(found, words, f"see {prog or Path(sys.argv[0]).name} --help")
     return found
+
+
+def _check_given(args: Any, words: Sequence[str], fix: str) -> None:
+    """Refuse an option of several values that is given without any: it would do nothing."""
+    given = {word.partition("=")[0].replace("_", "-") for word in words if word.startswith("--")}
+    for field in fields(args):
+        option = f"--{field.name.replace('_', '-')}"
+        if getattr(args, field.name) == () and option in given:
+            raise InputError("needs a value", option, fix)
 
 
 def _check_finite(args: Any, prefix: str = "--") -> None:

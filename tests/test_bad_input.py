@@ -123,13 +123,29 @@ def test_training_refuses_a_motion_shorter_than_the_future_window(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "option, value", [("--hold-out", "angry"), ("--sensors", "7T"), ("--teacher", "none")]
+    "option, value",
+    [
+        ("--hold-out", "angry"),
+        ("--hold-out", ","),
+        ("--sensors", "7T"),
+        ("--teacher", "none"),
+        ("--pushes", "0 0"),
+        ("--heights", "1.9 1.5"),
+        ("--objects", ""),
+    ],
 )
 def test_training_refuses_options_without_starting_a_run(option, value, library, tmp_path):
-    words = ["--preset", "smoke", "--motions", library, "--out", "run", option, value]
+    words = ["--preset", "smoke", "--motions", library, "--out", "run", option, *value.split()]
     if option == "--teacher":
         words += ["--preset", "cpu", "--stage", "student"]
-    assert_refused(questsim(tmp_path, *words, script="train.py"), value)
+    said = option if len(value.split()) != 1 else value
+    assert_refused(questsim(tmp_path, *words, script="train.py"), said.removeprefix("--"))
+
+
+def test_own_proportions_of_embedded_motions_are_refused(tmp_path):
+    words = ("--motions", "synthetic:stand", "--out", "run", "--own-proportions")
+    for script in ("train.py", "evaluate.py"):
+        assert_refused(questsim(tmp_path, *words, script=script), "--own-proportions: has no eff")
 
 
 def test_training_refuses_motions_that_are_missing(tmp_path):

@@ -69,6 +69,20 @@ def test_a_number_that_is_not_finite_is_refused_for_every_option(words, value, c
     assert "not a finite number" in error and option in error and error.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "evaluate --by-group --out x --under", "evaluate --objects --seeds 2",
+        "evaluate --scorecard --rows", "train --out x --set", "ship --run x --name y --metrics",
+        "evaluate --video-clips --out x",
+    ],
+)  # fmt: skip
+def test_an_option_without_its_values_is_refused(words, capsys):
+    assert cli.main(words.split()) == 2
+    error = capsys.readouterr().err
+    assert ": needs a value; see questsim" in error and error.count("\n") == 1
+
+
 def test_version_is_the_packages(capsys):
     assert cli.main(["--version"]) == 0
     assert capsys.readouterr().out == f"questsim {__version__}\n"

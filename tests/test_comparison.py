@@ -172,6 +172,9 @@ def test_a_stopped_comparison_goes_on_and_another_one_is_refused(tmp_path, monke
     short = to_motion(swaying_clip(frames=10))
     save_library(motions, [short, replace(short, name="other")], [])
     args = CompareArgs(agents=("ik",), motions=str(motions), out=out, threads=1)
+    with pytest.raises(InputError, match="no comparison that was begun; leave --finished out"):
+        compare(replace(args, finished=True))
+    assert not out.exists()
     done, real = [], run_module._scored
 
     def stopped(poses, job):

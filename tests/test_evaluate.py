@@ -249,6 +249,11 @@ def test_groups_of_a_mixture_are_counted_under_each_condition(library, clips, tm
     line += f" --motions {tmp_path / 'mine.toml'} --out {out} --under"
     assert main([*line.split(), "noon"]) == 2
     assert "--under: there is no condition 'noon'; choose from reference" in capsys.readouterr().err
+    assert main([*line.split(), "noise", "noise"]) == 2
+    assert "--under: has a value twice" in capsys.readouterr().err
+    assert main([*line.split(), "--seed", "3", "--under", "noise"]) == 2
+    assert "--seed: has no effect" in capsys.readouterr().err
+    assert not out.exists()
     assert main([*line.split(), "reference", "standing"]) == 0
     assert "standing" in capsys.readouterr().out
     found = json.loads((out / "groups.json").read_text())["groups"]

@@ -132,6 +132,7 @@ def test_command_writes_a_file_for_each_motion(kind, tmp_path, capsys):
         (["--format", "fbx"], "--format"),
         (["--format", "glb", "--skeleton", "joints"], "--skeleton"),
         (["--skeleton", "bones"], "--skeleton"),
+        (["--out", __file__], "a file is in the way"),
     ],
 )
 def test_command_refuses_what_it_cannot_write(words, fault, tmp_path, capsys):

@@ -22,13 +22,27 @@ STEPS = "synthetic:walk+stand"
         (["--motions", STEPS, "--users", "2", "--clips", "3"], "--clips: has no effect beside"),
         (["--motions", STEPS, "--users", "2", "--statures", "3"], "--statures: has no effect"),
         (["--motions", STEPS, "--statures", "3", "--rest", "1"], "beside --statures"),
-        (["--motions", STEPS, "--users", "-1"], "--users: -1 is below 0"),
+        (["--motions", STEPS, "--users", "-1"], "--users: is -1, not 0 or more"),
+        (["--motions", STEPS, "--rest", "2"], "--rest: is 2, not 0 to 1"),
+        (["--motions", STEPS, "--clips", "0"], "--clips: is 0, not 1 to"),
+        (["--minutes", "0"], "--minutes: is 0, not 1 to"),
+        (["--motions", "synthetic:jog", "--rest", "1"], "none of 7 clips begins at rest"),
     ],
 )
 def test_options_without_an_effect_are_refused(monkeypatch, options, fault):
     monkeypatch.setattr(sys, "argv", ["live", *options])
     with pytest.raises(InputError, match=fault):
         live.main()
+
+
+@pytest.mark.parametrize("options", [["--minutes", "1.5"], ["--minutes"], ["--fast"]])
+def test_options_that_cannot_be_read_are_refused_in_one_line(monkeypatch, capsys, options):
+    monkeypatch.setattr(sys, "argv", ["live", *options])
+    with pytest.raises(SystemExit) as end:
+        live.main()
+    error = capsys.readouterr().err
+    assert end.value.code == 2
+    assert error.startswith("error: ") and error.count("\n") == 1 and options[0] in error
 
 
 def test_too_few_clips_to_choose_from_are_refused():

@@ -230,6 +230,8 @@ def test_student_of_a_shipped_teacher_repeats_how_that_was_trained(run, tmp_path
     taught, student = training["commands"]
     assert "--stage teacher --minutes 180 --out runs/tracker" in taught
     assert student.endswith("--out runs/NAME --teacher runs/tracker")
+    with pytest.raises(InputError, match="headset: is a shipped policy, not one of a run; name"):
+        ship(ShipArgs(weights / "headset", "again", into=weights))
 
 
 def test_a_shipped_teacher_keeps_its_critic(run, tmp_path):

@@ -82,6 +82,7 @@ def test_a_specialist_without_name_or_with_empty_kinds_is_refused(text: str) -> 
         ((*SMOKE, "--workers", 2), "does not go with --workers"),
         (("--preset", "smoke", "--stage", "teacher"), "does not go with --stage teacher"),
         (("--preset", "paper"), "does not go with --preset paper"),
+        (("--preset", "smoke", "--specialists", "tracker:walk"), "no clip is of a kind 'walk'"),
     ],
 )
 def test_invalid_specialists_are_refused_and_leave_no_run(

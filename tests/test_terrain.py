@@ -367,6 +367,12 @@ def test_a_terrain_is_read_from_its_name_and_options() -> None:
         ("rough:seed", "not an option"),
         ("rough:seed=a", "'a' is not of type int"),
         ("rough:amplitude_m=9", "amplitude_m is 9"),
+        (
+            "slope:amplitude_m=0.1",
+            "'amplitude_m=0.1' has no effect on the terrain slope; it reads slope",
+        ),
+        ("flat:seed=3", "'seed=3' has no effect on the terrain flat"),
+        ("mixed:amplitude_m=0.1", "'amplitude_m=0.1' has no effect on the terrain mixed"),
     ):
         with pytest.raises(InputError, match=message):
             terrain_named(text)

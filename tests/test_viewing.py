@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
@@ -444,6 +445,25 @@ def test_show_lists_the_clips_if_one_is_unknown(two_clips, tmp_path):
     with pytest.raises(InputError, match="--stride"):
         show_clip(ShowArgs("dance", out=tmp_path, stride=0))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"columns": 100_000}, "--columns: columns is 100000, not 1 to 40"),
+        ({"height": 100_000}, "--height: height is 100000, not 64 to 4096"),
+        ({"video": False, "stride": 3}, "--stride: has no effect without a video"),
+        ({"video": False, "width": 100}, "--width: has no effect without a video"),
+        ({"clip": "a.npz", "motions": "b.npz"}, "--motions: has no effect: a.npz is a file"),
+        ({"out": Path("a.npz")}, "a.npz: cannot be written: a file is in the way"),
+    ],
+)
+def test_options_that_show_cannot_use_are_refused(options, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.npz").write_bytes(b"")
+    with pytest.raises(InputError, match=message):
+        show_clip(ShowArgs(**{"clip": "dance", **options}))
+    assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
 
 
 def test_file_names_are_plain():

@@ -28,7 +28,7 @@ from envs.objects import objects_named
 from envs.randomisation import REAL_DEVICES
 from envs.starts import WHOLLY
 from envs.terrain import terrain_named
-from questsim.errors import InputError, at_least
+from questsim.errors import InputError, at_least, each_once
 from questsim.evaluation_report import check_writable
 from questsim.exporting.formats import check_format
 from questsim.motion.clip import Clip
@@ -55,11 +55,12 @@ def evaluate(args: EvaluateArgs) -> int:
     Raises:
         InputError: an agent, motions or a folder cannot be used.
     """
-    from questsim.motion.spec import load_motions
+    from questsim.motion.spec import check_own_proportions, check_seed, load_motions
 
     at_least(1, threads=args.threads, max_clips=args.max_clips, seeds=args.seeds)
     at_least(0, seed=args.seed)
     _check_outputs(args)
+    check_seed(args.motions, args.seed)
     found = resolve(args.agent)
     _refuse_unused(args, ("sensors",) if found.torques else _OF_PHYSICS)
     if args.out is not None:
@@ -73,6 +74,8 @@ def evaluate(args: EvaluateArgs) -> int:
     check_random(agent, config, args.seeds)
     if args.seeds > 1 and args.assist is not None:
         raise InputError("does not go with --seeds", "--assist", "give one of them")
+    if args.own_proportions:
+        check_own_proportions(args.motions)
     clips = load_motions(args.motions, seed=args.seed, own_proportions=args.own_proportions)
     if args.max_clips is not None:
         clips = choose_clips(clips, args.max_clips)
@@ -228,8 +231,12 @@ def evaluate_scorecard(args: ScorecardArgs) -> int:
     Raises:
         InputError: one of the policies, the motions or a folder cannot be used.
     """
+    from questsim.motion.spec import check_seed
+
     at_least(1, threads=args.threads, max_clips=args.max_clips)
     at_least(0, seed=args.seed)
+    each_once(rows=args.rows)
+    check_seed((args.motions, *((args.extra,) if args.extra else ())), args.seed)
     if args.out is not None:
         check_writable(args.out)
     torch.set_num_threads(args.threads)
@@ -249,9 +256,13 @@ def evaluate_by_group(args: ByGroupArgs) -> int:
     Raises:
         InputError: the policy, the motions, a condition or the folder cannot be used.
     """
+    from questsim.motion.spec import check_seed
+
     at_least(1, threads=args.threads, max_clips=args.max_clips)
     at_least(0, seed=args.seed)
     check_conditions(args.under)
+    each_once(under=args.under)
+    check_seed(args.motions, args.seed)
     if args.out is not None:
         check_writable(args.out)
     torch.set_num_threads(args.threads)

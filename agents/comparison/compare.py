@@ -56,7 +56,7 @@ from agents.resolve import (
 from agents.resolve import ESTIMATE_TRACKER as TRACKER
 from agents.run_folder import versions
 from agents.training.monitor import Display
-from questsim.errors import INTERRUPTED, InputError, at_least
+from questsim.errors import INTERRUPTED, InputError, at_least, each_once
 from questsim.files import whole_file
 from questsim.motion.motion import Motion
 from questsim.sensors import SENSOR_SETS
@@ -84,6 +84,8 @@ def compare(args: CompareArgs) -> int:
     planned, out = plan(args.agents, args.sensors), args.out
     _refuse_unused(args, planned)
     check_writable(out)
+    if args.finished and not (out / RECORD_FILE).exists():
+        raise InputError("has no comparison that was begun", out, "leave --finished out")
     everything = load_recordings(args.motions, seed=args.seed)
     recordings = at_sensor_rate(everything, args.max_clips)
     fewer = choose_clips(recordings, args.fewer_clips or len(recordings))
@@ -198,10 +200,7 @@ def _refuse_unused(args: CompareArgs, planned: Mapping[str, Planned]) -> None:
         raise InputError(what, "--windows", "leave it out")
     if args.fewer_clips is None and args.fewer_rows != CompareArgs(out=args.out).fewer_rows:
         raise InputError("does nothing", "--fewer-rows", "add --fewer-clips N")
-    several = {"starts": args.starts, "noise": args.noise, "fewer-rows": args.fewer_rows}
-    for option, values in several.items():
-        if len(set(values)) < len(values):
-            raise InputError("has a value twice", f"--{option}", "give each once")
+    each_once(agents=args.agents, starts=args.starts, noise=args.noise, fewer_rows=args.fewer_rows)
 
 
 def all_plans(planned: Mapping[str, Planned], args: CompareArgs) -> list[Plan]:

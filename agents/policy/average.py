@@ -60,12 +60,14 @@ def average(folders: list[Path], out: Path) -> list[int]:
 
     Raises:
         InputError: there are fewer than two, they are of different trainings or do not state
-            theirs, or ``out`` exists.
+            theirs, one is named twice, or ``out`` exists.
     """
     if len(folders) < 2:
         found = "there is 1 policy" if folders else "there is no policy"
         fix = "name two checkpoints or more, or a stage folder that kept some"
         raise InputError(f"{found} to average", "questsim average", fix)
+    if len({folder.resolve() for folder in folders}) < len(folders):
+        raise InputError("names a policy twice", "questsim average", "name each once")
     if out.exists():
         raise InputError("exists already", out, "give another --out")
     policies = [(folder, load_policy(folder)) for folder in folders]

@@ -61,6 +61,9 @@ def ship_folder(args: ShipArgs) -> tuple[int, str]:
 
 def _ship_policy(args: ShipArgs, source: Path) -> tuple[int, str]:
     agent = load_policy(source)
+    if "stages" in agent.card["training"]:
+        fix = "name the folder of the run that trained it"
+        raise InputError("is a shipped policy, not one of a run", source, fix)
     size = _checked_size(source / WEIGHTS_FILE)
     training = agent.card["training"]
     metrics = [read_metrics(path, training) for path in args.metrics]

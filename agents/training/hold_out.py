@@ -23,6 +23,8 @@ def without_styles(motions: Sequence[T], hold_out: str) -> tuple[list[T], list[T
         InputError: no such style, or nothing is left to learn.
     """
     styles = {style.strip() for style in hold_out.split(",") if style.strip()}
+    if hold_out and not styles:
+        raise InputError("names no style", "--hold-out", "name one, or leave it out")
     unknown = styles - {motion.style for motion in motions}
     if unknown:
         known = ", ".join(sorted({motion.style for motion in motions if motion.style}))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,7 @@ from agents.resolve import from_anywhere, policy_folder
 from envs import QuestVecEnv
 from envs.config import EnvConfig
 from questsim.errors import InputError
-from questsim.motion.clip import source_kind
+from questsim.motion.clip import Clip, source_kind
 from questsim.sensors import sensor_set
 
 if TYPE_CHECKING:
@@ -127,6 +128,27 @@ def _fits(kind: str, pattern: str) -> bool:
     return fnmatchcase(kind, pattern) or fnmatchcase(source_kind(kind), pattern)
 
 
+def check_kinds(patterns: Sequence[Sequence[str]], clips: Sequence[Clip]) -> None:
+    """Check that each pattern fits a kind of the clips.
+
+    Args:
+        patterns: those of each specialist.
+        clips: to learn from, without variations that a training adds.
+
+    Raises:
+        InputError: one fits none.
+    """
+    _check_patterns(patterns, [clip.kind for clip in clips])
+
+
+def _check_patterns(patterns: Sequence[Sequence[str]], kinds: Iterable[str]) -> None:
+    known = sorted(set(kinds))
+    for pattern in chain.from_iterable(patterns):
+        if not any(_fits(kind, pattern) for kind in known):
+            names = ", ".join(kind for kind in known if kind) or "none"
+            raise InputError(f"no clip is of a kind {pattern!r}", OPTION, f"there is {names}")
+
+
 class Teachers:
     """Labels each avatar's state by the teacher of its clip.
 
@@ -153,11 +175,7 @@ class Teachers:
         self._kinds = [kinds for _, kinds in specialists]
         self._env, self._threads = env, threads
         self._reference = env.sim.reference
-        known = sorted(set(self._reference.kinds))
-        for pattern in (pattern for kinds in self._kinds for pattern in kinds):
-            if not any(_fits(kind, pattern) for kind in known):
-                names = ", ".join(kind for kind in known if kind) or "none"
-                raise InputError(f"no clip is of a kind {pattern!r}", OPTION, f"there is {names}")
+        _check_patterns(self._kinds, self._reference.kinds)
         self._teacher_of_clip = self._assign()
 
     def clips_of_each(self) -> list[int]:

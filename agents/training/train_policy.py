@@ -26,7 +26,7 @@ from agents.training.options import TrainArgs
 from agents.training.presets import PRESETS, PPOConfig, Preset, preset_of
 from agents.training.ray_session import ray_cluster
 from agents.training.run_stage import Training, run_stage
-from agents.training.specialists import read_specialist
+from agents.training.specialists import check_kinds, read_specialist
 from agents.training.stage import Stopper
 from agents.training.start_estimates import start_estimates
 from agents.training.start_from import with_networks_of_start
@@ -89,6 +89,8 @@ def train_here(args: TrainArgs) -> int:
     preset = with_networks_of_start(preset, args, names)
     clips = load_clips(args)
     check_share(args.vary, args.redraw, clips)
+    if not args.vary:  # patterns may be for variations alone
+        check_kinds([read_specialist(text).kinds for text in args.specialists], clips)
     shown = estimate_pairs(args, clips)
     begin_at = start_estimates(args, clips, shown)
     if shown is None:
@@ -141,6 +143,9 @@ def _refuse_unused(args: TrainArgs) -> None:
     if args.teacher and "teacher" in names:
         what = "does not go with --stage all, whose student learns from the teacher trained before"
         raise InputError(what, "--teacher", "add --stage student")
+    if args.pushes is not None and not any(args.pushes):
+        what = "has no effect: a force of 0 N pushes nobody"
+        raise InputError(what, "--pushes", "give newtons, or leave it out")
     if args.specialists and args.workers:
         raise InputError("does not go with --workers", "--specialists", "leave one out")
 

@@ -18,7 +18,7 @@ Pairs = dict[str, tuple[Clip, Clip]]
 
 def load_clips(args: TrainArgs) -> list[Clip]:
     """The clips of ``--motions``, at the data's own statures and, on request, proportions."""
-    from questsim.motion.spec import load_motions
+    from questsim.motion.spec import check_own_proportions, load_motions
 
     if args.own_proportions and args.proportions:
         what = "does not go with --own-proportions"
@@ -26,6 +26,8 @@ def load_clips(args: TrainArgs) -> list[Clip]:
     if args.own_proportions and args.body is not None:
         what = "does not go with a body of your own: the body keeps its own proportions"
         raise InputError(what, "--own-proportions", "leave it out")
+    if args.own_proportions:
+        check_own_proportions(args.motions)
     return load_motions(
         args.motions,
         mirrored=args.mirrored,

@@ -23,7 +23,7 @@ def export_motions(args: ExportMotionsArgs) -> None:
     Raises:
         InputError: there are no such motions, or a format or folder that cannot be used.
     """
-    from questsim.motion.spec import load_motions, load_recordings
+    from questsim.motion.spec import check_seed, load_motions, load_recordings
 
     kind = check_format(args.format, "--format")
     own = "avatar" if kind in ("glb", "csv") else "joints"
@@ -32,6 +32,8 @@ def export_motions(args: ExportMotionsArgs) -> None:
         raise InputError(f"{skeleton!r} is not one of {', '.join(SKELETONS)}", "--skeleton")
     if kind != "bvh" and skeleton != own:
         raise InputError(f"a {kind} file always has the {own}", "--skeleton", "leave it out")
+    check_seed(args.spec, args.seed)
+    check_writable(args.out)
     if skeleton == "avatar":
         clips = load_motions(args.spec, seed=args.seed)
         for clip, path in _files(args.out, kind, clips):
@@ -44,8 +46,7 @@ def export_motions(args: ExportMotionsArgs) -> None:
 def _files(folder: Path, kind: str, motions: Sequence[T]) -> Iterator[tuple[T, Path]]:
     """Each motion with its file; says in the end how many there were."""
     folder.mkdir(parents=True, exist_ok=True)
-    check_writable(folder)
     names = safe_names([motion.name for motion in motions])
     for motion, name in zip(motions, names, strict=True):
         yield motion, folder / f"{name}.{kind}"
-    print(f"{len(motions)} motions in {folder}")
+    print(f"{len(motions)} motion{'s' if len(motions) != 1 else ''} in {folder}")

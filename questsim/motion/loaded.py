@@ -114,14 +114,17 @@ def load_libraries(
 
 
 def _all_motions(file: Path, motion_of: MotionOf) -> list[Motion]:
-    """The motion of each clip of a library, in the clips' order; without clips its motions."""
+    """A library's motions, in its clips' order, with one made of each clip without any."""
     motions, names = load_library(file, clips=False).motions, clip_names(file)
     known = {motion.name: motion for motion in motions}
     lacking = {name for name in names if name not in known}
     if lacking:
         made = load_library(file, motions=False, names=lacking).clips
         known |= {clip.name: motion_of(clip) for clip in made}
-    return [known[name] for name in names] if lacking else motions
+    if not lacking:
+        return motions
+    alone = [motion for motion in motions if motion.name not in names]
+    return [known[name] for name in names] + alone
 
 
 def _load_dataset(name: str, split: str | None, clips: bool) -> Library:

@@ -12,7 +12,7 @@ import numpy as np
 
 from questsim.bodies import map_of
 from questsim.body import DEFAULT_HEIGHT_M
-from questsim.errors import InputError
+from questsim.errors import InputError, did_you_mean
 from questsim.heightfield import HeightField
 from questsim.metrics import Rollout
 from questsim.metrics_terms import mpjpe_cm
@@ -287,7 +287,8 @@ def chosen_by_name(choices: Sequence[T], names: Sequence[str], option: str) -> l
         if name not in by_name:
             known = sorted(by_name)
             hint = ", ".join(known[:3]) + (", ..." if len(known) > 3 else "")
-            raise InputError(f"there is no clip {name!r} among the evaluated ones", option, hint)
+            fix = f"{did_you_mean(name, known)}there are {hint}"
+            raise InputError(f"there is no clip {name!r} among the evaluated ones", option, fix)
     return [by_name[name] for name in names]
 
 

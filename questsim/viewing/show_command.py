@@ -6,12 +6,16 @@ import re
 import sys
 from pathlib import Path
 
-from questsim.errors import InputError, at_least
+from questsim.errors import InputError, at_least, within
+from questsim.evaluation_report import check_writable
 from questsim.motion.clip import FPS, Clip
 from questsim.motion_options import ShowArgs
 from questsim.viewing.films import clip_frames, rollout_video
 from questsim.viewing.gl import find_gl, missing_gl
 from questsim.viewing.video import write_video
+
+LIMITS = {"columns": (1, 40), "width": (64, 4096), "height": (64, 4096)}
+"""Least and greatest values of options; not every OpenGL draws larger pictures."""
 
 __all__ = ["ShowArgs", "rollout_video", "show_clip"]
 
@@ -28,8 +32,8 @@ def show_clip(args: ShowArgs) -> None:
     from questsim.viewing.contact_sheet import contact_sheet
     from questsim.viewing.feet_sheet import feet_sheet
 
-    at_least(1, columns=args.columns, stride=args.stride)
-    at_least(64, width=args.width, height=args.height)
+    _check_options(args)
+    check_writable(args.out)
     clips = find_clips(args.clip, args.motions)
     for clip in clips:
         base = args.out / file_name(clip.name)
@@ -45,6 +49,24 @@ def show_clip(args: ShowArgs) -> None:
             print(film)
     if args.video and not find_gl():
         print(f"video skipped: {missing_gl()}", file=sys.stderr)
+
+
+def _check_options(args: ShowArgs) -> None:
+    """Refuse options that are out of range or have no effect.
+
+    Raises:
+        InputError: naming the option.
+    """
+    at_least(1, stride=args.stride)
+    for option, limits in LIMITS.items():
+        within(f"--{option}", *limits, **{option: getattr(args, option)})
+    plain = ShowArgs(args.clip)
+    for option in ("width", "height", "stride"):
+        if not args.video and getattr(args, option) != getattr(plain, option):
+            raise InputError("has no effect without a video", f"--{option}", "leave it out")
+    if Path(args.clip).is_file() and args.motions != plain.motions:
+        what = f"has no effect: {args.clip} is a file"
+        raise InputError(what, "--motions", "leave it out, or name a clip")
 
 
 def find_clips(name: str, motions: str) -> list[Clip]:
