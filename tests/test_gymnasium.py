@@ -244,7 +244,7 @@ def test_info_is_as_documented_in_both_faces() -> None:
         ({"reward": {"contact": "x"}}, "reward contact: is 'x', not a number"),
         ({"privileged": "yes"}, "privileged is 'yes'; it takes True or False"),
         ({"heights": "tall"}, "heights is 'tall'; it takes"),
-        ({"heights": (1.7, 1.6)}, "heights: a stature of 1.7 to 1.6 m"),
+        ({"heights": (1.7, 1.6)}, "heights: the least stature, 1.7 m, is above"),
         ({"noise": 0.1}, "noise is 0.1; it takes None or SensorNoise"),
         ({"sensors": None}, "sensors is None; it takes"),
         ({"future_frames": 2.5}, "future_frames is 2.5; it takes a whole number"),
