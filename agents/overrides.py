@@ -39,6 +39,24 @@ def with_overrides(preset: PresetT, assignments: Sequence[str]) -> PresetT:
     return preset
 
 
+def refuse_repeated(assignments: Sequence[str]) -> None:
+    """Refuse assignments of which a later one undoes an earlier one.
+
+    Raises:
+        InputError: a path is given twice.
+    """
+    paths = [assignment.partition("=")[0] for assignment in assignments]
+    for path in paths:
+        if paths.count(path) > 1:
+            raise InputError("is given twice", f"{WHERE} {path}", "give it once")
+
+
+def overridden(assignments: Sequence[str], by: Sequence[str]) -> tuple[str, ...]:
+    """Assignments followed by others, without those whose paths the others assign."""
+    paths = {assignment.partition("=")[0] for assignment in by}
+    return (*(one for one in assignments if one.partition("=")[0] not in paths), *by)
+
+
 def value_at(preset: Any, path: str) -> Any:
     """The value of a preset at a path of ``with_overrides``, which has checked it."""
     for name in path.split("."):

@@ -19,6 +19,10 @@ LONGEST_VALUE = 80
 """Greatest length of a value in a message."""
 
 
+MOST_SEED = 2**32 - 1
+"""Greatest seed of a command."""
+
+
 class InputError(ValueError):
     """Input that cannot be used: a file, an option, a checkpoint.
 
@@ -96,6 +100,17 @@ def at_least(least: float, **options: float | None) -> None:
         finite(f"--{name.replace('_', '-')}", value)
         if value < least:
             raise InputError(f"is {value:g}, not at least {least:g}", f"--{name.replace('_', '-')}")
+
+
+def usable_seed(seed: int) -> None:
+    """Reject a ``--seed`` that not every generator of random numbers takes.
+
+    Raises:
+        InputError: it is negative or too large.
+    """
+    at_least(0, seed=seed)
+    if seed > MOST_SEED:
+        raise InputError(f"is {seed}, not at most {MOST_SEED}", "--seed")
 
 
 def each_once(**options: Sequence[object]) -> None:

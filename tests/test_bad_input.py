@@ -129,17 +129,30 @@ def test_training_refuses_a_motion_shorter_than_the_future_window(tmp_path):
         ("--hold-out", ","),
         ("--sensors", "7T"),
         ("--teacher", "none"),
-        ("--pushes", "0 0"),
-        ("--heights", "1.9 1.5"),
-        ("--objects", ""),
     ],
 )
 def test_training_refuses_options_without_starting_a_run(option, value, library, tmp_path):
-    words = ["--preset", "smoke", "--motions", library, "--out", "run", option, *value.split()]
+    words = ["--preset", "smoke", "--motions", library, "--out", "run", option, value]
     if option == "--teacher":
         words += ["--preset", "cpu", "--stage", "student"]
-    said = option if len(value.split()) != 1 else value
-    assert_refused(questsim(tmp_path, *words, script="train.py"), said.removeprefix("--"))
+    assert_refused(questsim(tmp_path, *words, script="train.py"), value)
+
+
+@pytest.mark.parametrize(
+    "words, wanted",
+    [
+        ("--pushes 0 0", "--pushes: has no effect"),
+        ("--heights 1.9 1.5", "heights: the least stature, 1.9 m, is above the greatest, 1.5 m"),
+        ("--starts.lean-m 0.2", "--starts.lean-m: has no effect; add --starts.disturbed"),
+        ("--randomisation.recentre-s 1 2", "--randomisation.recentre-s: has no effect"),
+        ("--seed 99999999999999999999", "--seed: is 99999999999999999999, not at most 4294967295"),
+        ("--set minutes=1 minutes=2", "--set minutes: is given twice"),
+        ("--set stages.teacher.share=0 stages.student.share=0", "no stage has a share"),
+    ],
+)
+def test_training_refuses_options_without_an_effect(words, wanted, library, tmp_path):
+    line = ["--preset", "smoke", "--motions", library, "--out", "run", *words.split()]
+    assert_refused(questsim(tmp_path, *line, script="train.py"), wanted)
 
 
 def test_own_proportions_of_embedded_motions_are_refused(tmp_path):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agents.overrides import with_overrides
+from agents.overrides import overridden, refuse_repeated, with_overrides
 from agents.training.presets import CPU, DaggerConfig, PPOConfig
 from questsim.errors import InputError
 
@@ -38,6 +38,14 @@ def test_a_warm_up_can_be_turned_off_where_the_preset_has_one() -> None:
     changed = with_overrides(CPU, ["stages.teacher.learning.critic_warmup_steps=0"])
     teacher = changed.stages["teacher"].learning
     assert isinstance(teacher, PPOConfig) and teacher.critic_warmup_steps == 0
+
+
+def test_a_later_assignment_replaces_an_earlier_one_only_where_it_is_meant_to() -> None:
+    given = ["num_envs=8", "minutes=2"]
+    assert overridden(given, ["num_envs=4"]) == ("minutes=2", "num_envs=4")
+    refuse_repeated(given)
+    with pytest.raises(InputError, match="--set minutes: is given twice"):
+        refuse_repeated([*given, "minutes=3"])
 
 
 @pytest.mark.parametrize(

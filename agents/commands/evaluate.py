@@ -28,7 +28,7 @@ from envs.objects import objects_named
 from envs.randomisation import REAL_DEVICES
 from envs.starts import WHOLLY
 from envs.terrain import terrain_named
-from questsim.errors import InputError, at_least, each_once
+from questsim.errors import InputError, at_least, each_once, usable_seed
 from questsim.evaluation_report import check_writable
 from questsim.exporting.formats import check_format
 from questsim.motion.clip import Clip
@@ -58,7 +58,7 @@ def evaluate(args: EvaluateArgs) -> int:
     from questsim.motion.spec import check_own_proportions, check_seed, load_motions
 
     at_least(1, threads=args.threads, max_clips=args.max_clips, seeds=args.seeds)
-    at_least(0, seed=args.seed)
+    usable_seed(args.seed)
     _check_outputs(args)
     check_seed(args.motions, args.seed)
     found = resolve(args.agent)
@@ -210,7 +210,7 @@ def evaluate_worlds(args: WorldsArgs) -> int:
     from questsim.motion.spec import load_motions
 
     at_least(1, threads=args.threads, max_clips=args.max_clips)
-    at_least(0, seed=args.seed)
+    usable_seed(args.seed)
     check_writable(args.out)
     torch.set_num_threads(args.threads)
     agent = load_agent(args.agent)
@@ -234,7 +234,7 @@ def evaluate_scorecard(args: ScorecardArgs) -> int:
     from questsim.motion.spec import check_seed
 
     at_least(1, threads=args.threads, max_clips=args.max_clips)
-    at_least(0, seed=args.seed)
+    usable_seed(args.seed)
     each_once(rows=args.rows)
     check_seed((args.motions, *((args.extra,) if args.extra else ())), args.seed)
     if args.out is not None:
@@ -259,7 +259,7 @@ def evaluate_by_group(args: ByGroupArgs) -> int:
     from questsim.motion.spec import check_seed
 
     at_least(1, threads=args.threads, max_clips=args.max_clips)
-    at_least(0, seed=args.seed)
+    usable_seed(args.seed)
     check_conditions(args.under)
     each_once(under=args.under)
     check_seed(args.motions, args.seed)

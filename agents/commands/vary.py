@@ -9,7 +9,7 @@ from functools import partial
 from tqdm import tqdm
 
 from agents.training.watched import beside_ray
-from questsim.errors import INTERRUPTED, at_least
+from questsim.errors import INTERRUPTED, at_least, usable_seed
 from questsim.motion.clip import Clip
 from questsim.motion.library import bare, save_library
 from questsim.motion.motions_command import check_library_path
@@ -35,7 +35,8 @@ def vary_motions(args: VaryArgs) -> int:
             cluster cannot be used.
     """
     at_least(1, count=args.count)
-    at_least(0, seed=args.seed, first=args.first, workers=args.workers)
+    at_least(0, first=args.first, workers=args.workers)
+    usable_seed(args.seed)
     check_library_path(args.out, args.spec)
     clips = load_motions(args.spec, seed=args.seed)
     left_out = len(clips) - len(long_enough(clips))

@@ -26,6 +26,7 @@ from agents.comparison.options import AblationsArgs
 from agents.comparison.report import Row
 from agents.kinematic.data import motions_record
 from agents.kinematic.scenario import Variant
+from agents.overrides import overridden
 from agents.run_folder import (
     RECORD,
     check_same_run,
@@ -39,7 +40,7 @@ from agents.run_folder import (
 from agents.training.hold_out import without_styles
 from agents.training.ray_session import ray_map
 from agents.training.watched import beside_ray
-from questsim.errors import InputError, at_least
+from questsim.errors import InputError, at_least, usable_seed
 from questsim.files import whole_file
 from questsim.motion.motion import Motion
 
@@ -119,7 +120,7 @@ def _checked(args: AblationsArgs) -> tuple[Path, list[Variant]]:
     if args.minutes is not None and not args.minutes > 0:
         raise InputError(f"is {args.minutes:g}, not above 0", "--minutes")
     at_least(1, steps=args.steps, threads=args.threads, max_clips=args.max_clips)
-    at_least(0, seed=args.seed)
+    usable_seed(args.seed)
     at_least(1, seeds=args.seeds)
     repeated = _repeated(args)
     known = {v.name: v for v in (*repeated, *family.variants(args.preset))}
@@ -137,7 +138,7 @@ def _checked(args: AblationsArgs) -> tuple[Path, list[Variant]]:
     full = Variant(FULL, "the whole system")
     variants = [full, *(v for v in known.values() if not args.variants or v.name in args.variants)]
     for variant in variants:
-        family.preset(args.preset, (*args.set, *variant.set))
+        family.preset(args.preset, overridden(args.set, variant.set))
     return args.out, variants
 
 
@@ -164,7 +165,7 @@ def _train(args: AblationsArgs, variant: Variant, folder: Path) -> int:
         "resume": (folder / RECORD).exists(),
         "threads": args.threads,
         "seed": args.seed,
-        "set": (*args.set, *variant.set),
+        "set": overridden(args.set, variant.set),
         **dict(variant.args),
     }
     return _family(args).train(options)

@@ -56,7 +56,7 @@ from agents.resolve import (
 from agents.resolve import ESTIMATE_TRACKER as TRACKER
 from agents.run_folder import versions
 from agents.training.monitor import Display
-from questsim.errors import INTERRUPTED, InputError, at_least, each_once
+from questsim.errors import INTERRUPTED, InputError, at_least, each_once, usable_seed
 from questsim.files import whole_file
 from questsim.motion.motion import Motion
 from questsim.sensors import SENSOR_SETS
@@ -78,7 +78,7 @@ def compare(args: CompareArgs) -> int:
     from questsim.motion.spec import load_recordings
 
     at_least(1, threads=args.threads, max_clips=args.max_clips, fewer_clips=args.fewer_clips)
-    at_least(0, seed=args.seed)
+    usable_seed(args.seed)
     if args.video_clips and not args.video:
         raise InputError("needs a video", "--video-clips", "add --video")
     planned, out = plan(args.agents, args.sensors), args.out

@@ -78,7 +78,7 @@ class AblationsArgs:
     motions: str = "synthetic"
     """Motions to learn: synthetic, a dataset (bandai-namco-2:train), a library, file or folder."""
     test: str = "synthetic"
-    """Motions to reconstruct; must differ from the training motions."""
+    """Motions to reconstruct; others than --motions show how the variants generalise."""
     out: Path | None = None
     """Folder of the table, with one subfolder per run."""
     minutes: float | None = None

@@ -14,7 +14,7 @@ from agents.kinematic.physics_behind import on_own_body
 from agents.kinematic.processes import process_map
 from agents.resolve import resolve_system
 from agents.training.watched import beside_ray
-from questsim.errors import at_least
+from questsim.errors import at_least, usable_seed
 from questsim.motion.clip import Clip
 from questsim.motion.library import save_library
 from questsim.motion.motion import Motion
@@ -31,7 +31,7 @@ def estimate(args: EstimateArgs) -> None:
         InputError: the system, sensors or motions cannot be used, or the file cannot be written.
     """
     at_least(1, threads=args.threads, max_clips=args.max_clips)
-    at_least(0, seed=args.seed)
+    usable_seed(args.seed)
     scenario = scenario_with(resolve_system(args.agent), args.sensors)
     check_library_path(args.out, args.motions)
     check_seed(args.motions, args.seed)

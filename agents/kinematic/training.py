@@ -25,7 +25,7 @@ from agents.kinematic.store import (
     save_system,
 )
 from agents.kinematic.team import Nobody, RayTeam, SharedStage, Team, part_of
-from agents.overrides import with_overrides
+from agents.overrides import refuse_repeated, with_overrides
 from agents.resolve import from_anywhere
 from agents.run_folder import (
     RunRecord,
@@ -40,7 +40,7 @@ from agents.training.monitor import Display
 from agents.training.ray_session import check_workers, ray_cluster
 from agents.training.stage import Budget, Stopper
 from agents.training.watched import beside_ray
-from questsim.errors import INTERRUPTED, InputError, at_least, one_of_these
+from questsim.errors import INTERRUPTED, InputError, at_least, one_of_these, usable_seed
 from questsim.motion.motion import Motion
 
 MAY_DIFFER_ON_RESUME = {
@@ -68,13 +68,15 @@ def train_system(args: TrainSystemArgs) -> int:
     args = replace(args, start=from_anywhere(args.start))
     check_logger(args.log)
     at_least(1, threads=args.threads, steps=args.steps)
-    at_least(0, minutes=args.minutes, seed=args.seed)
+    at_least(0, minutes=args.minutes)
+    usable_seed(args.seed)
     if args.validation is not None and args.hold_out:
         raise InputError("does not go with --hold-out", "--validation", "leave one out")
     cluster = _cluster(args)
     if args.agent not in AGENTS:
         raise InputError(f"there is no {args.agent!r}", "--agent", one_of_these(args.agent, AGENTS))
     entry = AGENTS[args.agent]
+    refuse_repeated(args.set)
     config = entry.needed(with_overrides(entry.presets[args.preset], args.set))
     if args.resume:
         read_run(args.out)

@@ -29,7 +29,7 @@ from agents.resolve import (
     shipped_systems,
     with_physics,
 )
-from questsim.errors import InputError, at_least
+from questsim.errors import InputError, at_least, usable_seed
 from questsim.evaluation_report import check_writable
 from questsim.motion.clip import Clip
 from questsim.motion.motion import Motion
@@ -47,7 +47,7 @@ def demo(args: DemoArgs) -> None:
     Raises:
         InputError: an agent, motions, clip, setting or address cannot be used.
     """
-    at_least(0, seed=args.seed)
+    usable_seed(args.seed)
     torch.set_num_threads(1)
     if args.video is not None:
         _write_video(args, args.video)

@@ -16,7 +16,7 @@ from agents.sweep.options import SweepArgs
 from agents.sweep.runs import Run, as_finished, executor, finished, runs_of
 from agents.sweep.settings import SettingSource, settings_of
 from agents.training.watched import beside_ray
-from questsim.errors import InputError, at_least
+from questsim.errors import InputError, at_least, usable_seed
 from questsim.files import read_yaml, whole_file
 
 RECORD = "sweep.yaml"
@@ -40,7 +40,7 @@ def _sweep_on_cluster(args: SweepArgs) -> int:
 
 def _sweep(args: SweepArgs) -> int:
     at_least(1, seeds=args.seeds, workers=args.workers, threads=args.threads, trials=args.trials)
-    at_least(0, seed=args.seed)
+    usable_seed(args.seed)
     settings = settings_of(args)
     made = not args.out.exists()
     _begin(args)

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from agents.overrides import value_at, with_overrides
+from agents.overrides import refuse_repeated, value_at, with_overrides
 from agents.sweep.options import SweepArgs
 from agents.training.presets import PRESETS
 from questsim.errors import InputError
@@ -125,6 +125,7 @@ class Search:
         self._ranges = dict(_range(text) for text in args.search)
         if len(self._ranges) < len(args.search):
             raise InputError("a path is given twice", "--search", "leave one out")
+        refuse_repeated((*args.set, *self._ranges))
         preset = PRESETS[args.preset]
         for path, (low, high, _) in self._ranges.items():
             for end in (low, high):
@@ -166,6 +167,7 @@ def _short(value: float) -> str:
 
 def _check(args: SweepArgs, setting: Setting) -> None:
     """Refuse values that do not fit the preset, before anything is trained."""
+    refuse_repeated((*args.set, *setting.overrides))
     with_overrides(PRESETS[args.preset], (*args.set, *setting.overrides))
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from agents.overrides import with_overrides
+from agents.overrides import refuse_repeated, with_overrides
 from agents.policy.checkpoint import find_policy, read_card
 from agents.resolve import from_anywhere
 from agents.run_folder import (
@@ -32,7 +32,7 @@ from agents.training.start_estimates import start_estimates
 from agents.training.start_from import with_networks_of_start
 from agents.training.training_clips import estimate_pairs, load_clips
 from agents.training.watched import beside_ray
-from questsim.errors import INTERRUPTED, InputError, at_least
+from questsim.errors import INTERRUPTED, InputError, at_least, usable_seed
 
 MAY_DIFFER_ON_RESUME = {
     "motions",  # compared by the hash of their contents
@@ -79,7 +79,9 @@ def train_here(args: TrainArgs) -> int:
     )
     check_logger(args.log)
     at_least(1, threads=args.threads, envs=args.envs, steps=args.steps, redraw=args.redraw)
-    at_least(0, minutes=args.minutes, seed=args.seed)
+    at_least(0, minutes=args.minutes)
+    usable_seed(args.seed)
+    refuse_repeated(args.set)
     preset = with_overrides(preset_of(args.preset, args.estimates is not None), args.set)
     names = _stage_names(args, preset)
     if args.resume:
@@ -148,6 +150,27 @@ def _refuse_unused(args: TrainArgs) -> None:
         raise InputError(what, "--pushes", "give newtons, or leave it out")
     if args.specialists and args.workers:
         raise InputError("does not go with --workers", "--specialists", "leave one out")
+    _refuse_unused_details(args)
+
+
+def _refuse_unused_details(args: TrainArgs) -> None:
+    """Refuse sizes of errors and faults that no episode has.
+
+    Raises:
+        InputError: naming the option.
+    """
+    starts, devices = args.starts, args.randomisation
+    errors = ("lean_m", "speed_m_s", "place_m", "lift_m", "joints_rad")
+    for group, options, used, names, needed in (
+        ("starts", starts, starts.disturbed > 0.0, errors, "disturbed"),
+        ("randomisation", devices, max(devices.dropout) > 0.0, ("dropout_frames",), "dropout"),
+        ("randomisation", devices, devices.recentres, ("recentre_s",), "recentre-m"),
+    ):
+        plain = type(options)()
+        for name in () if used else names:
+            if getattr(options, name) != getattr(plain, name):
+                option, fix = name.replace("_", "-"), f"add --{group}.{needed}, or leave it out"
+                raise InputError("has no effect", f"--{group}.{option}", fix)
 
 
 def shipped_behind(args: TrainArgs) -> dict[str, Any]:
@@ -193,7 +216,11 @@ def _outcome(args: TrainArgs) -> str:
 
 def _stage_names(args: TrainArgs, preset: Preset) -> list[str]:
     if args.stage == "all":
-        return [name for name, stage in preset.stages.items() if stage.share > 0]
+        names = [name for name, stage in preset.stages.items() if stage.share > 0]
+        if not names:
+            fix = "give one of them more"
+            raise InputError("no stage has a share of the time", "--set stages.*.share", fix)
+        return names
     if args.stage not in preset.stages:
         raise InputError(
             f"preset {args.preset} has no stage {args.stage!r}",

@@ -13,7 +13,7 @@ from tempfile import TemporaryFile
 
 import numpy as np
 
-from questsim.errors import InputError, at_least
+from questsim.errors import InputError, at_least, usable_seed
 from questsim.motion.clip import Clip
 from questsim.motion.datasets import DATASETS, fetch, is_fetched
 from questsim.motion.library import Library, bare, save_library
@@ -175,7 +175,7 @@ def chain_motions(args: ChainArgs) -> None:
     from questsim.motion.varying.chain import LIMITS, can_be_chained, chains
 
     at_least(1, count=args.count, each=args.each)
-    at_least(0, seed=args.seed)
+    usable_seed(args.seed)
     check_library_path(args.out, args.spec)
     clips = load_motions(args.spec, seed=args.seed)
     made = [bare(chain) for chain in chains(clips, args.count, args.each, args.seed)]
