@@ -191,11 +191,13 @@ def _choose(
     ]
     if entry.count:
         if entry.count > len(out):
-            raise InputError(f"count is {entry.count} of {len(out)} clips", f"{path}: {where}")
+            what = f"count is {entry.count} of {len(out)} clips"
+            raise InputError(what, f"{path}: {where}", f"draw at most {len(out)}")
         drawn = np.random.default_rng(seed).choice(len(out), entry.count, replace=False)
         out = [out[i] for i in sorted(drawn)]
     if not out:
-        raise InputError("no clip is left", f"{path}: {where}", "check its include and exclude")
+        fix = "check its include, exclude and longest_s"
+        raise InputError("no clip is left", f"{path}: {where}", fix)
     if entry.kind:
         out = [
             replace(motion, kind=_kind(entry.kind, motion, f"{path}: {where}")) for motion in out
@@ -321,7 +323,7 @@ def _check_value(key: str, value: Any, place: str) -> None:
             raise InputError(f"{key} is {value}, not a number from {least:g}", place, "change it")
     elif not value or not all(text.strip() for text in texts or [value]):
         raise InputError(f"{key} is empty", place, "write something, or leave it out")
-    if key == "kind" and set("{}+") & set(_FIELD.sub("", value)):
+    if key == "kind" and set("{}+") & set(_FIELD.sub("", str(value))):
         fix = "use {kind}, {style} and {name}; a + is for variations alone"
         raise InputError(f"kind is {value_text(value)}", place, fix)
 
