@@ -49,6 +49,7 @@ def test_a_stage_folder_stands_for_what_it_kept_but_its_begin(tmp_path: Path) ->
     [
         ("one", "there is 1 policy to average"),
         ("twice", "names a policy twice"),
+        ("copy", "two policies of the same number of steps"),
         ("other", "is of another training"),
         ("there", "exists already"),
         ("unstated", "does not state the steps"),
@@ -62,6 +63,8 @@ def test_policies_that_cannot_be_averaged_are_refused_and_nothing_is_written(
         b = saved(tmp_path / "c", 2.0, 2, preset="smoke")
     if case == "unstated":
         save_policy(b, load_policy(b).policy, Needs(), {})
+    if case == "copy":
+        b = saved(tmp_path / "d", 1.0, 1)
     if case == "twice":
         b = tmp_path / "." / "a"
     out = a if case == "there" else tmp_path / "mean"

@@ -10,7 +10,7 @@ from questsim.motion.library import Library, load_library, save_library
 from questsim.motion.reading import ReadOptions, read_motion
 from questsim.motion.retarget import to_clip
 from questsim.motion.retarget_back import to_motion
-from questsim.motion.spec import load_recordings
+from questsim.motion.spec import load_motions, load_recordings
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +29,13 @@ def saved(library, tmp_path) -> Path:
     path = tmp_path / "library.npz"
     save_library(path, library.motions, library.clips)
     return path
+
+
+def test_a_library_may_end_in_capitals(tmp_path):
+    clips = load_motions("synthetic:stand")
+    save_library(tmp_path / "mine.NPZ", [], clips)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.NPZ"]
+    assert [c.name for c in load_motions(str(tmp_path / "mine.NPZ"))] == [c.name for c in clips]
 
 
 def test_a_library_comes_back_as_it_was_saved(saved, library):

@@ -457,6 +457,24 @@ def test_a_demo_refuses_what_it_cannot_show_before_its_page_opens(given, meant, 
         demo(DemoArgs(**given))
 
 
+@pytest.mark.parametrize(
+    ("given", "fault"),
+    [
+        ({"seconds": 5.0}, "--seconds: has no effect without --video"),
+        ({"push": 0.0}, "--push: has no effect without --video"),
+        ({"video": Path("new/x.mp4"), "port": 9000}, "--port: has no effect beside --video"),
+        ({"motions": "mine.npz", "seed": 3}, "--seed: has no effect"),
+        ({"video": Path("new/x.mp4"), "motions": "mine.npz"}, "no motions 'mine.npz'"),
+    ],
+)
+def test_a_demo_refuses_options_without_an_effect(given, fault, tmp_path, monkeypatch):
+    monkeypatch.setattr("agents.live.demo.Page", None)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=fault):
+        demo(DemoArgs(**given))
+    assert not list(tmp_path.iterdir())
+
+
 def test_pages_refuse_a_policy_of_another_body_before_they_open(tmp_path, monkeypatch):
     body = read_body("gymnasium-humanoid")
     sim = BatchSim(load_motions("synthetic:stand"), EnvConfig(body=body), 1)

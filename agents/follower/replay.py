@@ -57,12 +57,12 @@ def _check_out(path: Path) -> None:
 
         if find_gl() is None:
             raise InputError(missing_gl(), "--out")
-    path.parent.mkdir(parents=True, exist_ok=True)
     check_writable(path.parent)
 
 
 def _write(path: Path, args: FollowArgs, track: Track) -> None:
     """Write the scores, the motion or a film, by the file's suffix."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     suffix = path.suffix.lower()
     if suffix == ".json":
         write_scores(path, args, track)
@@ -86,7 +86,6 @@ def show_recording(args: ShowRecordingArgs) -> None:
     """
     from questsim.stream_plots import plot_signals
 
-    args.out.mkdir(parents=True, exist_ok=True)
     check_writable(args.out)
     recording = read_recording(args.file, args.convention)
     count, seconds = len(recording.frames), recording.duration_s
@@ -96,6 +95,7 @@ def show_recording(args: ShowRecordingArgs) -> None:
         print(f"{name}: reports in {100 * share:.1f} % of the frames")
     track = followed(args, recording)
     _print(stream_scores(track), track)
+    args.out.mkdir(parents=True, exist_ok=True)
     base = args.out / args.file.name.split(".")[0]
     with whole_file(base.with_suffix(".png")) as fresh:
         plot_signals(track, fresh)

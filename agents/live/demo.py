@@ -33,6 +33,7 @@ from questsim.errors import InputError, at_least, usable_seed
 from questsim.evaluation_report import check_writable
 from questsim.motion.clip import Clip
 from questsim.motion.motion import Motion
+from questsim.motion.spec import check_seed
 from questsim.viewing.live import Settings
 from questsim.viewing.page import Page
 
@@ -48,6 +49,8 @@ def demo(args: DemoArgs) -> None:
         InputError: an agent, motions, clip, setting or address cannot be used.
     """
     usable_seed(args.seed)
+    check_seed(args.motions, args.seed)
+    _refuse_unused(args)
     torch.set_num_threads(1)
     if args.video is not None:
         _write_video(args, args.video)
@@ -61,6 +64,16 @@ def demo(args: DemoArgs) -> None:
     with Page(args.host, args.port) as page:
         _announce(page)
         watch(page, demo_session(args, clips))
+
+
+def _refuse_unused(args: DemoArgs) -> None:
+    """Refuse options of the video for a page, and those of the page for a video."""
+    page = args.video is None
+    options = ("seconds", "push") if page else ("host", "port")
+    for option in options:
+        if getattr(args, option) != getattr(DemoArgs, option):
+            what = f"has no effect {'without' if page else 'beside'} --video"
+            raise InputError(what, f"--{option}", "leave it out")
 
 
 def play(args: PlayArgs) -> None:
@@ -214,10 +227,10 @@ def _write_video(args: DemoArgs, path: Path) -> None:
         raise InputError(f"{path.name} is neither .mp4 nor .gif", "--video")
     at_least(1, seconds=args.seconds)
     at_least(0, push=args.push)
-    path.parent.mkdir(parents=True, exist_ok=True)
     check_writable(path.parent)
     if find_gl() is None:
         raise InputError(missing_gl(), "--video")
     takes = record(demo_session(args), args.seconds, args.push)
     print(f"filming {sum(len(take.moments) for take in takes)} frames", file=sys.stderr)
+    path.parent.mkdir(parents=True, exist_ok=True)
     print(film(takes, path))

@@ -78,6 +78,9 @@ def average(folders: list[Path], out: Path) -> list[int]:
             fix = "average policies of one stage of one training"
             raise InputError(f"is of another training than {first}", folder, fix)
     steps, last = [agent.card["training"]["steps"] for agent in agents], agents[-1]
+    if len(set(steps)) < len(steps):
+        what = "has two policies of the same number of steps, which are one"
+        raise InputError(what, "questsim average", "name each once")
     weights = [agent.policy.state_dict() for agent in agents]
     last.policy.load_state_dict(
         {name: _mean([part[name] for part in weights]) for name in weights[0]}

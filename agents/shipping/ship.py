@@ -25,6 +25,7 @@ from agents.shipping.options import ShipArgs
 from agents.shipping.provenance import provenance
 from agents.shipping.system_card import comparison_lines, system_card, system_provenance
 from questsim.errors import InputError
+from questsim.evaluation_report import check_writable
 
 MODEL_CARD = "README.md"
 MAX_BYTES = 10_000_000
@@ -53,6 +54,7 @@ def ship_folder(args: ShipArgs) -> tuple[int, str]:
             a report belongs to other weights.
     """
     check_name(args.name)
+    check_writable(args.into)
     found = resolve(args.run)
     if found.folder is None or found.kind not in ("policy", "system"):
         raise InputError("has no weights to ship", args.run, "name a run folder")

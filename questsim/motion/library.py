@@ -77,8 +77,9 @@ def save_library(path: str | Path, motions: Sequence[Motion], clips: Sequence[Cl
     for key in ABOUT:
         arrays[f"motion_{key}"] = _strings([getattr(m, key) for m in motions])
         arrays[f"clip_{key}"] = _strings([getattr(c, key) for c in clips])
-    with whole_file(path) as fresh:
-        np.savez(fresh, **arrays)  # type: ignore[arg-type]
+    # NumPy adds .npz to a file's name that ends otherwise, also in .NPZ.
+    with whole_file(path) as fresh, fresh.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
 def bare(clip: Clip) -> Clip:

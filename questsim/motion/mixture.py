@@ -191,11 +191,13 @@ def _choose(
     ]
     if entry.count:
         if entry.count > len(out):
-            raise InputError(f"count is {entry.count} of {len(out)} clips", f"{path}: {where}")
+            what = f"count is {entry.count} of {len(out)} clips"
+            raise InputError(what, f"{path}: {where}", f"draw at most {len(out)}")
         drawn = np.random.default_rng(seed).choice(len(out), entry.count, replace=False)
         out = [out[i] for i in sorted(drawn)]
     if not out:
-        raise InputError("no clip is left", f"{path}: {where}", "check its include and exclude")
+        fix = "check its include, exclude and longest_s"
+        raise InputError("no clip is left", f"{path}: {where}", fix)
     if entry.kind:
         out = [
             replace(motion, kind=_kind(entry.kind, motion, f"{path}: {where}")) for motion in out
