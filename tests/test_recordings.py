@@ -221,13 +221,12 @@ def test_replay_writes_scores_and_refuses_what_it_cannot_write(tmp_path, capsys)
         replay(ReplayArgs(path, agent="questsim-now", calibrate=0.0))
     with pytest.raises(InputError, match=r"does not end in one of \.json"):
         replay(ReplayArgs(path, out=tmp_path / "x.doc"))
-    for command, args in (
-        (replay, ReplayArgs(tmp_path / "none.csv", out=tmp_path / "new" / "x.json")),
-        (show_recording, ShowRecordingArgs(tmp_path / "none.csv", out=tmp_path / "new")),
-    ):
-        with pytest.raises(InputError, match=r"none\.csv: there is no such file"):
-            command(args)
-        assert not (tmp_path / "new").exists()
+    none, new = tmp_path / "none.csv", tmp_path / "new"
+    with pytest.raises(InputError, match="none.csv: there is no such file"):
+        replay(ReplayArgs(none, out=new / "x.json"))
+    with pytest.raises(InputError, match="none.csv: there is no such file"):
+        show_recording(ShowRecordingArgs(none, out=new))
+    assert not new.exists()
 
 
 def test_a_user_who_first_moves_is_measured_as_soon_as_they_stand_still(tmp_path, capsys):
