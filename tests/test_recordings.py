@@ -222,9 +222,9 @@ def test_replay_writes_scores_and_refuses_what_it_cannot_write(tmp_path, capsys)
     with pytest.raises(InputError, match=r"does not end in one of \.json"):
         replay(ReplayArgs(path, out=tmp_path / "x.doc"))
     none, new = tmp_path / "none.csv", tmp_path / "new"
-    with pytest.raises(InputError, match="none.csv: there is no such file"):
+    with pytest.raises(InputError, match=r"none\.csv: there is no such file"):
         replay(ReplayArgs(none, out=new / "x.json"))
-    with pytest.raises(InputError, match="none.csv: there is no such file"):
+    with pytest.raises(InputError, match=r"none\.csv: there is no such file"):
         show_recording(ShowRecordingArgs(none, out=new))
     assert not new.exists()
 
