@@ -79,9 +79,9 @@ def test_weights_and_biases_offline_keeps_curves_and_continues_its_run(tmp_path,
     check_logger("wandb")
     folder = tmp_path / "run" / "teacher" / "curves"
     for first in (0, 16):
-        began = int(time.time())
         log_two(folder, "wandb", first)
-        while int(time.time()) == began:  # its folders are named by the second
+        ended = int(time.time())
+        while int(time.time()) == ended:  # its folders are named by the second in which a run began
             time.sleep(0.05)
     files = sorted((folder / "wandb").glob("offline-run-*/run-*.wandb"))
     assert len({file.name for file in files}) == 1  # both parts have the same id
