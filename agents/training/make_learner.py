@@ -15,6 +15,7 @@ from agents.policy.policy_agent import PolicyAgent, check_body, new_policy
 from agents.policy.spec import Layout
 from agents.training.cluster import ActorPool
 from agents.training.dagger import Dagger, DaggerConfig
+from agents.training.fewer_devices import with_devices
 from agents.training.learner import Learner
 from agents.training.make_ppo import exploration_noise, make_ppo
 from agents.training.ppo import AdaptivePPO
@@ -128,5 +129,6 @@ def _specialists(
 def _policy_for(where: Path, env: QuestVecEnv | ActorPool) -> TorquePolicy:
     """A policy to train further, which fits ``env``."""
     start = load_policy(find_policy(where))
+    start = with_devices(start, env.config.sensors, env.config.future_frames)
     start.bind(env)
     return start.policy
