@@ -119,3 +119,24 @@ def test_a_student_of_a_headset_starts_from_questsim(tmp_path: Path, capsys) -> 
     error = capsys.readouterr().err
     assert "does not observe left_controller, right_controller" in error
     assert not (tmp_path / "more").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--stage student --teacher runs/none", "runs/none"),
+        ("--stage student --teacher tracker --specialists runs/none:walk", "runs/none"),
+        ("--specialists runs/none:walk", "runs/none"),
+        ("--stage student", "has no teacher of its own"),
+        ("--stage student --teacher tracker --start questsim-headset", "does not observe left_con"),
+    ],
+)
+def test_policies_are_looked_up_before_the_motions_are_loaded(
+    words: str, message: str, tmp_path: Path, capsys
+) -> None:
+    """Loading a wide mixture takes minutes."""
+    run = ["train", "--out", str(tmp_path / "run"), "--motions", "no-such-file.npz"]
+    assert main([*run, *words.split()]) == 2
+    error = capsys.readouterr().err
+    assert message in error and "no-such-file" not in error
+    assert not (tmp_path / "run").exists()

@@ -150,11 +150,14 @@ def test_a_resumed_stage_keeps_its_own_layers(tmp_path: Path) -> None:
 def test_every_shipped_policy_can_be_trained_further_with_the_plain_command(
     tmp_path: Path, stage: Any, name: str, estimates: str | None
 ) -> None:
-    args = TrainArgs(out=tmp_path, stage=stage, start=Path(name), estimates=estimates)
     shipped = load_policy(find_policy(name))
+    sensors, frames = shipped.needs.sensors, shipped.needs.future_frames
+    args = TrainArgs(
+        out=tmp_path, stage=stage, start=Path(name), estimates=estimates,
+        sensors=sensors, future_frames=frames,
+    )  # fmt: skip
     preset = with_networks_of_start(preset_of("cpu", estimates is not None), args, [stage])
     spec = preset.stages[stage].policy
-    sensors, frames = shipped.needs.sensors, shipped.needs.future_frames
     config = EnvConfig(sensors=sensors, future_frames=frames, privileged=True)
     new = new_policy(spec, Layout.of(observation_layout(config)))
     copy_actor(shipped.policy, new, name)

@@ -106,6 +106,23 @@ class _OfOtherDevices(PolicyAgent):
         return config.teacher_devices
 
 
+def check_teachers(args: TrainArgs, names: Sequence[str]) -> None:
+    """Check that the teachers of a student exist, before the motions are loaded.
+
+    Args:
+        args: options of the training.
+        names: of the stages to train.
+
+    Raises:
+        InputError: there is no such teacher.
+    """
+    if names == ["student"]:
+        needs_of_teachers(args)
+    elif "student" in names:  # its general teacher is trained before
+        for text in args.specialists:
+            needs_of(find_teacher(read_specialist(text).where))
+
+
 def needs_of_teachers(args: TrainArgs) -> list[Needs]:
     """What a student's teachers observe.
 

@@ -21,6 +21,7 @@ from agents.policy.checkpoint import (
     load_policy,
 )
 from agents.policy.networks import TorqueHead, TorquePolicy
+from agents.training.fewer_devices import with_devices
 from agents.training.options import TrainArgs
 from agents.training.presets import PPOConfig, Preset
 from questsim.errors import InputError
@@ -43,14 +44,17 @@ def with_networks_of_start(preset: Preset, args: TrainArgs, names: Sequence[str]
         names: of the stages to train.
 
     Raises:
-        InputError: there is no such policy, or its files are damaged.
+        InputError: there is no such policy, its files are damaged, or it lacks a device.
     """
     stages = dict(preset.stages)
     for name in names:
         folder = _start_of(name, args)
         if folder is None:
             continue
-        start, policy = load_policy(folder).policy.spec, stages[name].policy
+        agent = load_policy(folder)
+        if name != "teacher":  # a teacher may have learnt beside other devices
+            agent = with_devices(agent, args.sensors, args.future_frames)
+        start, policy = agent.policy.spec, stages[name].policy
         if not _is_set(args, f"stages.{name}.policy.hidden"):
             policy = replace(policy, hidden=start.hidden)
         same = start.balance != "none" and start.reference_head == policy.reference_head

@@ -26,7 +26,7 @@ from agents.training.options import TrainArgs
 from agents.training.presets import PRESETS, PPOConfig, Preset, preset_of
 from agents.training.ray_session import ray_cluster
 from agents.training.run_stage import Training, run_stage
-from agents.training.specialists import check_kinds, read_specialist
+from agents.training.specialists import check_kinds, check_teachers, read_specialist
 from agents.training.stage import Stopper
 from agents.training.start_estimates import start_estimates
 from agents.training.start_from import with_networks_of_start
@@ -88,6 +88,7 @@ def train_here(args: TrainArgs) -> int:
         read_run(args.out)
     else:
         refuse_existing(args.out)
+    check_teachers(args, names)
     preset = with_networks_of_start(preset, args, names)
     clips = load_clips(args)
     check_share(args.vary, args.redraw, clips)
