@@ -38,7 +38,8 @@ def data_record(spec: str, clips: Sequence[Clip]) -> dict[str, Any]:
     """Record of the training data: amount, licences and one hash over all clips."""
     digest = hashlib.sha256()
     for clip in sorted(clips, key=lambda clip: clip.name):
-        digest.update(f"{clip.name} {clip.source_sha256} {clip.height_m:.3f}".encode())
+        weight = "" if clip.weight == 1.0 else f" {clip.weight:g}"
+        digest.update(f"{clip.name} {clip.source_sha256} {clip.height_m:.3f}{weight}".encode())
         digest.update(clip.qpos.astype("<f4").tobytes())
     return amounts(spec, clips) | {"sha256": digest.hexdigest()}
 

@@ -30,6 +30,7 @@ class Reference:
 
     Attributes:
         names, kinds: name and kind of each clip.
+        weights: ``(C,)`` of each clip.
         heights: ``(C,)`` stature in metres of each clip's own body.
         start, end: ``(C,)`` first row of each clip, and one past its last.
         qpos, qvel: ``(F, 40)``, ``(F, 39)``.
@@ -45,6 +46,7 @@ class Reference:
 
     names: tuple[str, ...]
     kinds: tuple[str, ...]
+    weights: np.ndarray
     heights: np.ndarray
     start: np.ndarray
     end: np.ndarray
@@ -103,6 +105,7 @@ class Reference:
         return Reference(
             names=tuple(clip.name for clip in clips),
             kinds=tuple(clip.kind for clip in clips),
+            weights=np.array([clip.weight for clip in clips]),
             heights=np.array([clip.height_m for clip in (common if avatar.own else clips)]),
             start=ends - [len(clip) for clip in clips],
             end=ends,

@@ -19,6 +19,8 @@ WEIGHT_RANGE = (0.3, 3.0)
 class Sampler:
     """Draws (clip, first frame) pairs; failure rates of clips and of their moments are learned.
 
+    A clip's weight multiplies how often it is drawn.
+
     Args:
         reference: the clips.
         weighted: whether falls raise the probability of a clip and a moment.
@@ -53,6 +55,7 @@ class Sampler:
             _, kind = np.unique(kinds, return_inverse=True)
             kind_of_bin = kind[self._clip_of_bin]
             self._amount /= np.sqrt(np.bincount(kind_of_bin, self._amount))[kind_of_bin]
+        self._amount *= reference.weights[self._clip_of_bin]
         self.clip_failure = np.full(len(bins), 0.5)
         self.bin_failure = np.full(len(self._clip_of_bin), 0.5)
         self._cumulative: np.ndarray | None = None

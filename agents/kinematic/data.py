@@ -84,6 +84,7 @@ class MotionBank:
         self.first = np.cumsum(frames) - frames
         self.starts = frames - length + 1
         weight = self.starts * _by_kind([m.kind for m in kept], self.starts, kind_power)
+        weight *= [m.weight for m in kept]
         self.probability = weight / weight.sum()
 
     @property

@@ -303,4 +303,5 @@ def clip_of_poses(body: BodyMap, poses: np.ndarray, about: Clip) -> Clip:
         licence=about.licence,
         kind=about.kind,
         style=about.style,
+        weight=about.weight,
     )

@@ -39,7 +39,7 @@ class Clip:
         link_velocity: ``(T, 16, 3)`` in m/s.
         link_angular_velocity: ``(T, 16, 3)`` in rad/s.
         contacts: ``(T, 2)`` bool, whether the left and the right foot bear on the floor.
-        source, source_sha256, licence, kind, style: as in ``Motion``.
+        source, source_sha256, licence, kind, style, weight: as in ``Motion``.
         proportions: of the body that the numbers are for; None for the default body's.
     """
 
@@ -58,6 +58,7 @@ class Clip:
     kind: str = ""
     style: str = ""
     proportions: Proportions | None = None
+    weight: float = 1.0
 
     def __len__(self) -> int:
         return len(self.qpos)

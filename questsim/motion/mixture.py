@@ -21,6 +21,7 @@ from questsim.motion.naming import is_synthetic
 
 T = TypeVar("T", Clip, Motion)
 SUFFIX = ".toml"
+MAX_WEIGHT = 1000.0
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,8 @@ class MixtureEntry:
             use ``{kind}``, ``{style}`` and ``{name}`` (without the numbers at its end). With
             ``{kind}``, variations stay variations: ``mine-walk+crouch`` of ``mine-{kind}``.
         licence: the licence of clips whose source states none, as an SPDX identifier.
+        weight: trainings draw the clips so many times as often as without it, also where they draw
+            by kind.
     """
 
     motions: str
@@ -50,6 +53,7 @@ class MixtureEntry:
     seed: int | None = None
     kind: str = ""
     licence: str = ""
+    weight: float = 1.0
 
     @property
     def reads_seed(self) -> bool:
@@ -68,6 +72,7 @@ _TYPES: dict[str, tuple[str, type | tuple[type, ...]]] = {
     "seed": (_WHOLE, int),
     "kind": (_TEXT, str),
     "licence": (_TEXT, str),
+    "weight": ("a number", (int, float)),
 }
 _FIELD = re.compile(r"\{(kind|style|name)\}")
 
@@ -202,6 +207,8 @@ def _choose(
         out = [
             replace(motion, kind=_kind(entry.kind, motion, f"{path}: {where}")) for motion in out
         ]
+    if entry.weight != 1.0:
+        out = [replace(motion, weight=entry.weight) for motion in out]
     if entry.licence:
         _check_licence(out, entry.licence, f"{path}: {where}")
         out = [replace(motion, licence=entry.licence) for motion in out]
@@ -319,8 +326,10 @@ def _check_value(key: str, value: Any, place: str) -> None:
         raise InputError(f"{key} is {value_text(value)}, not {says}", place)
     if isinstance(value, int | float):
         least = 0 if key == "seed" else 1 if key == "count" else 1e-3
-        if not least <= value < 1e9:
-            raise InputError(f"{key} is {value}, not a number from {least:g}", place, "change it")
+        most = MAX_WEIGHT if key == "weight" else 1e9
+        if not least <= value <= most:
+            what = f"{key} is {value}, not a number from {least:g} to {most:g}"
+            raise InputError(what, place, "change it")
     elif not value or not all(text.strip() for text in texts or [value]):
         raise InputError(f"{key} is empty", place, "write something, or leave it out")
     if key == "kind" and set("{}+") & set(_FIELD.sub("", str(value))):

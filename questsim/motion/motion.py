@@ -31,6 +31,8 @@ class Motion:
         licence: SPDX identifier or name of the data's licence; empty if unknown.
         kind: the kind of motion (``"walk"``, ``"run"``, ...); empty if unknown.
         style: the performer's style (``"normal"``, ``"elderly"``, ...); empty if unknown.
+        weight: how often a training draws it, as a multiple; from a mixture file, and not stored
+            in libraries.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Motion:
     licence: str = ""
     kind: str = ""
     style: str = ""
+    weight: float = 1.0
 
     def __post_init__(self) -> None:
         frames = len(self.root_position)

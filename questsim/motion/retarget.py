@@ -99,6 +99,7 @@ def to_clip(
         licence=motion.licence,
         kind=motion.kind,
         style=motion.style,
+        weight=motion.weight,
     )
 
 
@@ -188,6 +189,7 @@ def mirror_clip(clip: Clip) -> Clip:
         licence=clip.licence,
         kind=swapped,
         style=clip.style,
+        weight=clip.weight,
     )
 
 

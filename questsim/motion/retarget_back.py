@@ -58,6 +58,7 @@ def to_motion(clip: Clip) -> Motion:
         licence=clip.licence,
         kind=clip.kind,
         style=clip.style,
+        weight=clip.weight,
     )
 
 

@@ -219,6 +219,7 @@ def make(base: Clip, donor: Clip, rng: np.random.Generator) -> Clip | str:
         licence=of_parts((base.licence, mixed.licence)),
         kind=f"{base.kind}+{dominant}" if dominant else base.kind,
         style=base.style,
+        weight=base.weight,
     )
     if feasible.feet_missed(figure.contacts, misfit(figure, clip)):
         return "out of the legs' reach"
