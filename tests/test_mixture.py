@@ -19,12 +19,17 @@ from command_line import ROOT, questsim
 from mocap_files import write_amass
 from test_formats import MORE as MORE_MOTIONS
 
+from agents.kinematic.data import MotionBank
+from agents.run_folder import data_record
 from questsim.errors import InputError
 from questsim.motion.clip import Clip, source_kind
 from questsim.motion.library import save_library
 from questsim.motion.mixture import read_mixture
+from questsim.motion.retarget import mirror_clip, to_clip
+from questsim.motion.retarget_back import to_motion
 from questsim.motion.spec import load_motions, load_recordings
 from questsim.motion.synthesis.synthetic import synthetic_clips
+from questsim.motion.variation import vary
 
 MIXTURE = """
 [[validation]]
@@ -111,6 +116,8 @@ def test_the_command_line_takes_a_part(mixture: Path) -> None:
         ("[[train]]\nmotions = 'synthetic'\nlongest_s = 0", "", ["longest_s is 0, not"]),
         ("[[train]]\nmotions = 'synthetic'\nlongest_s = nan", "", ["longest_s is nan, not"]),
         ("[[train]]\nmotions = 'synthetic'\ncount = 0", "", ["count is 0, not a number from 1"]),
+        ("[[train]]\nmotions = 'synthetic'\nweight = 0", "", ["weight is 0", "0.001 to 1000"]),
+        ("[[train]]\nmotions = 'synthetic'\nweight = true", "", ["weight is True, not a number"]),
         ("[[train]]\nmotions = 'a.npz'\nseed = 1", "", ["seed has no effect", "leave it out"]),
         ("train = []", "", ["'train' has no entry", "[[train]]"]),
         ("[[train]]\nmotions = 'synthetic'\nkind = 'a+b'", "", ["kind is 'a+b'", "variations"]),
@@ -227,6 +234,28 @@ def test_variations_of_a_kind_stay_variations_of_it(tmp_path: Path) -> None:
     assert load_motions(str(tmp_path / "mine.toml"))[1].kind == "a-b"
 
 
+def test_clips_and_what_is_made_of_them_have_the_weight_of_their_entry(tmp_path: Path) -> None:
+    file = tmp_path / "mix.toml"
+    entries = ("walk-0.5", "weight = 2.5"), ("walk-1.1", "")
+    file.write_text(
+        "".join(
+            f"[[train]]\nmotions = 'synthetic:walk'\ninclude = ['*{name}']\n{key}\n"
+            for name, key in entries
+        )
+    )
+    heavy, plain = load_motions(str(file))
+    assert (heavy.weight, plain.weight) == (2.5, 1.0)
+    assert [motion.weight for motion in load_recordings(str(file))] == [2.5, 1.0]
+    assert mirror_clip(heavy).weight == to_clip(to_motion(heavy)).weight == 2.5
+    (varied,) = vary([heavy], 1, seed=1)
+    assert varied.weight == 2.5
+    bank = MotionBank(load_recordings(str(file)), 18)
+    chance, starts = bank.probability, bank.starts
+    assert chance[0] / chance[1] == pytest.approx(2.5 * starts[0] / starts[1])
+    same, other = (data_record("m", [replace(heavy, weight=w)])["sha256"] for w in (1.0, 2.5))
+    assert same != other
+
+
 def test_a_mixture_states_the_licence_of_files_that_state_none(tmp_path: Path) -> None:
     write_amass(tmp_path / "mine.npz")
     text = "[[train]]\nmotions = 'mine.npz'\n"
@@ -259,9 +288,22 @@ def test_the_shipped_chains_are_eight_kinds_of_each_library(tmp_path: Path) -> N
     }
 
 
-@pytest.mark.parametrize("name", ["sit.toml", "steps.toml"])
+@pytest.mark.parametrize("name", ["again.toml", "sit.toml", "steps.toml"])
 def test_the_shipped_mixtures_of_embedded_clips_are_read(name: str) -> None:
     assert "train" in read_mixture(ROOT / "docs" / "mixtures" / name)
+
+
+def test_what_is_drawn_again_is_not_in_the_validation_part_of_the_wide_mixture() -> None:
+    files = [
+        read_mixture(ROOT / "docs" / "mixtures" / f"{name}.toml") for name in ("wide", "again")
+    ]
+    kept = {
+        name for entry in files[0]["validation"] for name in entry.include if "dataset-2" in name
+    }
+    assert len(kept) == 24
+    for entry in files[1]["train"][:2]:
+        (pattern,) = entry.include
+        assert set(entry.exclude) == {name for name in kept if fnmatchcase(name, pattern)}
 
 
 def test_a_file_that_cannot_be_read_may_be_excluded_by_name(tmp_path: Path) -> None:

@@ -79,6 +79,15 @@ def test_a_rare_kind_comes_more_often_than_its_frames():
     assert np.mean(clips == 16) == pytest.approx(0.2, abs=0.03)
 
 
+@pytest.mark.parametrize("by_kind", [False, True])
+def test_weights_multiply_how_often_clips_are_drawn(by_kind: bool) -> None:
+    clips = [replace(CLIPS[0], kind=kind, weight=weight) for kind, weight in (("a", 3.0), ("b", 1))]
+    sim = BatchSim(clips, EnvConfig(), 1)
+    numbers = np.random.default_rng(0).random((4000, 2))
+    drawn, _ = Sampler(sim.reference, weighted=True, by_kind=by_kind).draw(numbers)
+    assert np.mean(drawn == 0) == pytest.approx(0.75, abs=0.03)
+
+
 def test_variations_count_as_the_kind_that_they_vary():
     """Else a fifth of variations, each of a kind of its own, would be half of the samples."""
     changes = ("crouch", "bow", "reach", "crouch+reach")
