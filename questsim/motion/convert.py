@@ -85,7 +85,7 @@ def recording_to_motion(
     metres: float,
     up: str,
     changes: list[str] | None = None,
-    **meta: str,
+    **meta: Any,
 ) -> Motion:
     """The recording on the 22-joint skeleton.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -122,7 +123,7 @@ def clip_from_qpos(
     qpos: np.ndarray,
     height_m: float,
     proportions: Proportions | None = None,
-    **about: str,
+    **about: Any,
 ) -> Clip:
     """A clip from ``(T, 40)`` poses at 36 Hz of the body of height ``height_m``.
 
@@ -131,7 +132,7 @@ def clip_from_qpos(
         qpos: root position (m), root quaternion wxyz, 33 joint angles (rad), in each row.
         height_m: the body's stature.
         proportions: of the body.
-        about: ``source``, ``source_sha256``, ``licence``, ``kind``, ``style``.
+        about: ``source``, ``source_sha256``, ``licence``, ``kind``, ``style``, ``weight``.
     """
     return clips_from_qpos([name], [qpos], [height_m], [about], [proportions])[0]
 
@@ -140,7 +141,7 @@ def clips_from_qpos(
     names: Sequence[str],
     qpos: Sequence[np.ndarray],
     heights_m: Sequence[float],
-    about: Sequence[dict[str, str]],
+    about: Sequence[dict[str, Any]],
     proportions: Sequence[Proportions | None] | None = None,
 ) -> list[Clip]:
     """``clip_from_qpos`` for many clips at once; much faster for short clips."""
