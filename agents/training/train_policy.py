@@ -21,6 +21,7 @@ from agents.run_folder import (
 )
 from agents.training.fresh_motions import check_share
 from agents.training.loggers import check_logger
+from agents.training.memory import memory_bytes, memory_warning
 from agents.training.monitor import Display
 from agents.training.options import TrainArgs
 from agents.training.presets import PRESETS, PPOConfig, Preset, preset_of
@@ -111,6 +112,9 @@ def train_here(args: TrainArgs) -> int:
     folder, cluster = only_training(args.out), _cluster(args)
     with folder, cluster, Display() as display, stopper.listening():
         display.say(f"preset {args.preset}: {preset.expect}")
+        frames, processes = sum(len(clip) for clip in clips), 1 + args.workers
+        if warning := memory_warning(frames, args.vary, processes, memory_bytes()):
+            display.say(warning)
         for name in names:
             run_stage(training, name, display, stopper, record.begin)
             if stopper.requested:
