@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -342,6 +343,52 @@ def test_a_training_is_recognised_under_other_names_of_its_files_and_run():
     assert _joined([one], [same]) == [one]
     for other in (seed, longer, more):
         assert len(_joined([one], [other])) == 2
+
+
+def test_a_teacher_known_by_its_run_and_by_a_card_is_listed_once(run, tmp_path, monkeypatch):
+    """Its hours counted twice."""
+    weights, record = tmp_path / "weights", data()
+    ship(ShipArgs(run / "teacher", "tracker", into=weights))
+    monkeypatch.setattr("agents.resolve.SHIPPED", weights)
+    first = new_run(tmp_path / "first", record, stage="student", teacher=run)
+    add_stage(first, "student", record, 1_000_000, 20.0)
+    options = {"stage": "student", "teacher": "tracker", "start": first}
+    second = new_run(tmp_path / "second", record, **options)
+    add_stage(second, "student", record, 2_000_000, 40.0)
+    ship(ShipArgs(second, "pupil", into=weights))
+    training = load_policy(weights / "pupil").card["training"]
+    assert [stage["minutes"] for stage in training["stages"]] == [180.0, 30.0, 60.0]
+    taught, start, last = (line.split() for line in training["commands"])
+    teacher = taught[taught.index("--out") + 1]
+    assert start[start.index("--teacher") + 1] == last[last.index("--teacher") + 1] == teacher
+    assert last[last.index("--start") + 1] == start[start.index("--out") + 1]
+
+
+def test_a_run_that_gets_another_name_has_it_as_a_specialist_too() -> None:
+    def part(stage: str, command: str) -> StagePart:
+        return StagePart(Path("shipped"), {"stage": stage, "motions": "m"}, 8, 1.0, command)
+
+    student = "python train.py --out runs/student --specialists 'runs/b:side-*+kick' runs/b"
+    both = [part("teacher", "python train.py --out runs/b"), part("student", student)]
+    lines = [p.command for p in _joined([part("teacher", "python train.py --out runs/a")], both)]
+    assert lines[1] == student.replace("runs/b", "runs/a")
+
+
+def test_no_shipped_policy_lists_a_training_twice_or_needs_one_that_is_not_listed() -> None:
+    for folder in (path for path in SHIPPED.glob("*") if (path / CARD_FILE).exists()):
+        training = load_policy(folder).card["training"]
+        found = [(each["stage"], each["steps"], each["minutes"]) for each in training["stages"]]
+        assert len(found) == len(set(found)), folder.name
+        runs: set[str] = set()
+        for line in training["commands"]:
+            words = shlex.split(line)
+            runs.add(words[words.index("--out") + 1])
+            needed = {words[words.index(o) + 1] for o in ("--teacher", "--start") if o in words}
+            if "--specialists" in words:
+                first = words.index("--specialists") + 1
+                needed |= {word.partition(":")[0] for word in words[first:]}
+            # The run from which ``demo`` started was not kept.
+            assert needed <= runs or folder.name == "demo", f"{folder.name}: {line}"
 
 
 def test_a_card_calls_files_as_it_is_told(run, tmp_path):

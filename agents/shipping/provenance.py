@@ -83,8 +83,13 @@ def provenance(folder: Path, called: Mapping[str, str] | None = None) -> dict[st
     """
     parts = stages_behind(folder)
     names = _names_of_files(parts, called)
+    lines = commands(parts, called)
+    # A card and a run folder may describe the same training: as lines they are alike.
+    spoken = [replace(part, command=line) for part, line in zip(parts, lines, strict=True)]
+    once, renamed = _merged([], spoken)
+    taught = {id(part.training): _several_teachers(part, parts, renamed) for part in parts}
     return {
-        "commands": commands(parts, called),
+        "commands": [part.command for part in once],
         "stages": [
             {
                 "stage": part.training["stage"],
@@ -92,8 +97,8 @@ def provenance(folder: Path, called: Mapping[str, str] | None = None) -> dict[st
                 "minutes": part.minutes,
                 "motions": portable(part.training["motions"], names),
             }
-            | _several_teachers(part, parts)
-            for part in parts
+            | taught[id(part.training)]
+            for part in once
         ],
         "ground": read_run(parts[-1].run)["args"].get("env") or "flat",
         "pushed": read_run(parts[-1].run)["args"].get("pushes") is not None,
@@ -194,13 +199,16 @@ def _behind(entry: Mapping[str, Any], option: str, folder: Path) -> dict[str, An
     return entry.get("behind", {}).get(option) or _training(folder)
 
 
-def _several_teachers(part: StagePart, parts: Sequence[StagePart]) -> dict[str, list[str]]:
+def _several_teachers(
+    part: StagePart, parts: Sequence[StagePart], renamed: Mapping[str, str]
+) -> dict[str, list[str]]:
     """``teachers`` of a student that learned from one after the other, by name; else empty."""
     if part.command is not None or part.training["stage"] != "student":
         return {}
     names = _run_names(parts)
     teachers = _teachers(part.run, read_run(part.run))
-    texts = [_run_name(*origin, names, parts) for origin in teachers]
+    found = [_run_name(*origin, names, parts) for origin in teachers]
+    texts = [renamed.get(name, name) for name in found]
     return {"teachers": texts} if len(texts) > 1 else {}
 
 
@@ -228,6 +236,13 @@ def _joined(parts: list[StagePart], more: Sequence[StagePart]) -> list[StagePart
     Two shipped policies may record their common teacher under different run names; the first name
     is kept. Two runs of one name in two of them get different ones.
     """
+    return _merged(parts, more)[0]
+
+
+def _merged(
+    parts: list[StagePart], more: Sequence[StagePart]
+) -> tuple[list[StagePart], dict[str, str]]:
+    """See ``_joined``; and the new names of runs of ``more``."""
     parts, names = list(parts), dict[str, str]()
     taken = {_out(part.command) for part in parts if part.command is not None}
     for part in more:
@@ -239,7 +254,7 @@ def _joined(parts: list[StagePart], more: Sequence[StagePart]) -> list[StagePart
             parts.append(replace(part, command=command))
         elif part.command is not None and twin.command is not None:
             names[_out(part.command)] = _out(twin.command)
-    return parts
+    return parts, names
 
 
 def _is_same(a: StagePart, b: StagePart) -> bool:
@@ -269,7 +284,13 @@ def _unnamed(command: str) -> list[str]:
 
 
 def _renamed(command: str, names: Mapping[str, str]) -> str:
-    return shlex.join(names.get(word, word) for word in shlex.split(command))
+    """The command with other names of runs, also of specialists: ``runs/steps:side-*``."""
+
+    def name(word: str) -> str:
+        run, colon, kinds = word.partition(":")
+        return names.get(word) or names.get(run, run) + colon + kinds
+
+    return shlex.join(name(word) for word in shlex.split(command))
 
 
 def _out(command: str) -> str:
