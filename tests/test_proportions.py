@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -78,6 +80,13 @@ def test_kinematics_agree_with_the_model_of_those_proportions() -> None:
         np.testing.assert_allclose(clip.link_position[frame], data.xpos[1:], atol=1e-6)
     again, _ = link_poses(clip.scaled(1.5).qpos, 1.5, proportions=clip.proportions)
     np.testing.assert_allclose(clip.scaled(1.5).link_position, again, atol=1e-6)
+
+
+def test_a_clip_on_other_proportions_is_drawn_as_often() -> None:
+    heavy = replace(WALK, weight=3.0)
+    assert with_proportions(heavy, LONG_ARMS).weight == 3.0
+    sim = BatchSim([heavy, WALK], EnvConfig(proportions=0.05), 2)
+    assert sim.reference.weights.tolist() == [3.0, 1.0]
 
 
 def test_a_clip_on_other_proportions_keeps_its_feet_on_the_floor_and_does_not_skate() -> None:

@@ -45,5 +45,5 @@ def with_proportions(clip: Clip, proportions: Proportions | None) -> Clip:
         root, quat, ankles, feet, np.minimum(lowest, 0.0), clip.contacts.astype(float), height,
         clip.qpos[:, 7:].copy(), proportions,
     )  # fmt: skip
-    about = {name: getattr(clip, name) for name in ABOUT}
+    about = {name: getattr(clip, name) for name in (*ABOUT, "weight")}
     return clip_from_qpos(clip.name, qpos, height, proportions, **about)
