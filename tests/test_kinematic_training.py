@@ -357,6 +357,12 @@ def test_the_record_of_motions_changes_with_a_single_frame():
     assert motions_record("x", [MOTION])["sha256"] != motions_record("x", [other])["sha256"]
 
 
+def test_the_record_of_motions_changes_with_a_weight():
+    """Else a training would resume with motions that are drawn differently."""
+    other = replace(MOTION, weight=2.0)
+    assert motions_record("x", [MOTION])["sha256"] != motions_record("x", [other])["sha256"]
+
+
 def test_the_learning_rate_rises_from_nothing_over_the_warm_up(tmp_path):
     fit = fit_of("lgsik", "network", tmp_path)
     fit.learning = replace(fit.learning, warm_up=4, final_rate=1.0, learning_rate=1e-3)

@@ -165,7 +165,8 @@ def motions_record(spec: str, motions: Sequence[Motion]) -> dict[str, Any]:
     """Record of the training data, like ``run_folder.data_record`` for clips."""
     digest = hashlib.sha256()
     for motion in sorted(motions, key=lambda motion: motion.name):
-        digest.update(f"{motion.name} {motion.source_sha256} {motion.fps:g}".encode())
+        weight = "" if motion.weight == 1.0 else f" {motion.weight:g}"
+        digest.update(f"{motion.name} {motion.source_sha256} {motion.fps:g}{weight}".encode())
         for array in (motion.root_position, motion.rotations, motion.offsets):
             digest.update(array.astype("<f4").tobytes())
     return amounts(spec, motions) | {"sha256": digest.hexdigest()}
