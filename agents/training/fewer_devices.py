@@ -11,7 +11,7 @@ from torch import Tensor
 from agents.policy.networks import MIN_STD, TorquePolicy
 from agents.policy.policy_agent import PolicyAgent, new_policy
 from agents.policy.spec import Layout
-from envs.config import offsets_of
+from envs.config import EnvConfig, offsets_of
 from envs.layout import POSE_SIZE
 from questsim.errors import InputError
 from questsim.sensors import sensor_set
@@ -24,8 +24,9 @@ def with_devices(agent: PolicyAgent, sensors: str, future_frames: int) -> Policy
 
     Each input of a device that both observe is taken over by the same device's nearest frame;
     several inputs that fall on one frame are added. The others count as at their mean over the
-    earlier training. The policy therefore acts like the agent where the user keeps still and the
-    missing devices are where they are on average, and has to learn the rest.
+    earlier training. Frames that only the new policy observes have no effect at first, and the
+    statistics of the nearest earlier one. The policy therefore acts like the agent where the user
+    keeps still and the missing devices are where they are on average, and has to learn the rest.
 
     Args:
         agent: the policy to begin with.
@@ -35,12 +36,13 @@ def with_devices(agent: PolicyAgent, sensors: str, future_frames: int) -> Policy
         the agent itself if it observes the same, or no devices at all.
 
     Raises:
-        InputError: it lacks a device that the new policy observes.
+        InputError: it lacks a device that the new policy observes, or no policy can observe this.
     """
     needs, blocks = agent.needs, agent.policy.layout.blocks
     same = sensor_set(sensors) == sensor_set(needs.sensors) and future_frames == needs.future_frames
     if same or USER not in blocks:
         return agent
+    EnvConfig(sensors=sensors, future_frames=future_frames)  # refuses what cannot be observed
     lacks = [name for name in sensor_set(sensors) if name not in sensor_set(needs.sensors)]
     if lacks:
         raise InputError(
@@ -51,9 +53,9 @@ def with_devices(agent: PolicyAgent, sensors: str, future_frames: int) -> Policy
     source, spec = agent.policy, agent.policy.spec
     width = POSE_SIZE * len(sensor_set(sensors)) * len(offsets_of(future_frames))
     policy = new_policy(spec, _with_user_of(source.layout, width), hinges=source.log_std.numel())
-    places = _places(needs.sensors, needs.future_frames, sensors, future_frames)
+    old, new = (needs.sensors, needs.future_frames), (sensors, future_frames)
     state = {name: value.clone() for name, value in source.state_dict().items()}
-    state |= _with_inputs(source, policy, state, places)
+    state |= _with_inputs(source, policy, state, _places(*old, *new), _places(*new, *old))
     policy.load_state_dict(state)
     fewer = replace(needs, sensors=sensors, future_frames=future_frames)
     return PolicyAgent(policy, fewer, agent.name, agent.card)
@@ -71,7 +73,7 @@ def _with_user_of(layout: Layout, width: int) -> Layout:
 
 
 def _places(old_set: str, old_future: int, new_set: str, new_future: int) -> np.ndarray:
-    """Of each old number of the user its place among the new ones, -1 without one."""
+    """Of each old number of the user its place in the new frame nearest to it, -1 without one."""
     old_devices, new_devices = sensor_set(old_set), sensor_set(new_set)
     frames = np.array(offsets_of(new_future))
     places = []
@@ -86,20 +88,27 @@ def _places(old_set: str, old_future: int, new_set: str, new_future: int) -> np.
 
 
 def _with_inputs(
-    source: TorquePolicy, target: TorquePolicy, state: dict[str, Tensor], places: np.ndarray
+    source: TorquePolicy,
+    target: TorquePolicy,
+    state: dict[str, Tensor],
+    places: np.ndarray,
+    origins: np.ndarray,
 ) -> dict[str, Tensor]:
     """Normaliser and first layer of ``source`` for the inputs of ``target``.
 
-    A new number has the statistics of the last old one that falls on it, which is the nearest to
-    the present or, beyond the last frame, the last.
+    Args:
+        source, target: the policies.
+        state: weights of ``source``.
+        places: of each old number of the user its place among the new ones, -1 without one.
+        origins: of each new number of the user the old one whose statistics it has.
     """
     old, new = source.actor.columns.numpy(), target.actor.columns.numpy()
     to = _new_inputs(source.layout, target.layout, old, new, places)
-    kept = np.flatnonzero(to >= 0)[::-1].copy()  # the nearest frame is written last
+    origin = torch.as_tensor(_new_inputs(target.layout, source.layout, new, old, origins))
+    kept = np.flatnonzero(to >= 0)
     old_mean, old_var = state["actor.norm.mean"], state["actor.norm.var"]
     weight = state["actor.layers.0.weight"]
-    mean, var = torch.zeros(len(new)), torch.zeros(len(new))
-    mean[to[kept]], var[to[kept]] = old_mean[kept], old_var[kept]
+    mean, var = old_mean[origin], old_var[origin]
     deviation = var.sqrt().clamp_min(MIN_STD)
     old_deviation = old_var.sqrt().clamp_min(MIN_STD)
     rows = torch.as_tensor(to[kept])
@@ -117,7 +126,7 @@ def _with_inputs(
 def _new_inputs(
     source: Layout, target: Layout, old: np.ndarray, new: np.ndarray, places: np.ndarray
 ) -> np.ndarray:
-    """Of each input of the old actor its number among the new one's, -1 without one."""
+    """Of each input of one actor its number among the other's, -1 without one."""
     (first, end), moved = source.blocks[USER], target.blocks[USER][1] - source.blocks[USER][1]
     column = np.where(old >= end, old + moved, old)
     user = (old >= first) & (old < end)
