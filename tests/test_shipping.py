@@ -22,7 +22,7 @@ from agents.policy.spec import TRACKER_BLOCKS, Layout, PolicySpec
 from agents.resolve import SHIPPED
 from agents.run_folder import note_resume, read_run, start_run
 from agents.shipping import ship as shipping
-from agents.shipping.provenance import StagePart, _joined, options_of
+from agents.shipping.provenance import StagePart, _joined, _renamed, options_of
 from agents.shipping.ship import ShipArgs, check_name, ship
 from agents.training.options import TrainArgs
 from agents.training.presets import PRESETS
@@ -372,6 +372,13 @@ def test_a_run_that_gets_another_name_has_it_as_a_specialist_too() -> None:
     both = [part("teacher", "python train.py --out runs/b"), part("student", student)]
     lines = [p.command for p in _joined([part("teacher", "python train.py --out runs/a")], both)]
     assert lines[1] == student.replace("runs/b", "runs/a")
+
+
+def test_a_drive_is_not_the_run_of_a_specialist() -> None:
+    command = r"python train.py --specialists 'C:\runs\b:side-*' 'C:\runs\b'"
+    assert shlex.split(_renamed(command, {"C:\\runs\\b": "runs/a", "C": "runs/c"})) == [
+        "python", "train.py", "--specialists", "runs/a:side-*", "runs/a",
+    ]  # fmt: skip
 
 
 def test_no_shipped_policy_lists_a_training_twice_or_needs_one_that_is_not_listed() -> None:

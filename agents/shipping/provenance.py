@@ -287,8 +287,8 @@ def _renamed(command: str, names: Mapping[str, str]) -> str:
     """The command with other names of runs, also of specialists: ``runs/steps:side-*``."""
 
     def name(word: str) -> str:
-        run, colon, kinds = word.partition(":")
-        return names.get(word) or names.get(run, run) + colon + kinds
+        run, colon, kinds = word.rpartition(":")
+        return names.get(word) or (f"{names[run]}{colon}{kinds}" if run in names else word)
 
     return shlex.join(name(word) for word in shlex.split(command))
 
@@ -343,8 +343,9 @@ def commands(parts: Sequence[StagePart], called: Mapping[str, str] | None = None
         if student and (special := _specialists(record)):
             words.append("--specialists")
             for text, origin in special:
-                named = Path(_run_name(*origin, names, parts))
-                words.append(str(replace(read_specialist(text), where=named)))
+                kinds = "+".join(read_specialist(text).kinds)
+                named = _run_name(*origin, names, parts)  # not a path, whose slashes Windows turns
+                words.append(f"{named}:{kinds}" if kinds else named)
         if run in begun:
             words.append("--resume")
         begun.add(run)
