@@ -135,6 +135,13 @@ def test_a_resumed_stage_keeps_its_own_layers(tmp_path: Path) -> None:
     assert layers(TrainArgs(**args), "student") == (8, 6)
 
 
+def test_a_stage_that_resumes_with_more_devices_is_compared_with_its_run(tmp_path: Path) -> None:
+    """Not with what a policy may start from."""
+    save_policy(tmp_path / "student" / "last", policy(24, 16), Needs(sensors="H"), {})
+    args = TrainArgs(out=tmp_path, stage="student", start=Path("questsim"), resume=True)
+    assert layers(args, "student") == (24, 16)
+
+
 @pytest.mark.parametrize(
     ("stage", "name", "estimates"),
     [

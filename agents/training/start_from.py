@@ -52,8 +52,9 @@ def with_networks_of_start(preset: Preset, args: TrainArgs, names: Sequence[str]
         if folder is None:
             continue
         agent = load_policy(folder)
-        if name != "teacher":  # a teacher may have learnt beside other devices
-            agent = with_devices(agent, args.sensors, args.future_frames)
+        # A teacher may have learnt beside other devices; a resumed stage is compared with its run.
+        if name != "teacher" and folder != _last(name, args):
+            with_devices(agent, args.sensors, args.future_frames)
         start, policy = agent.policy.spec, stages[name].policy
         if not _is_set(args, f"stages.{name}.policy.hidden"):
             policy = replace(policy, hidden=start.hidden)
@@ -68,9 +69,14 @@ def _is_set(args: TrainArgs, name: str) -> bool:
     return any(text.startswith(f"{name}=") for text in args.set)
 
 
+def _last(name: str, args: TrainArgs) -> Path:
+    """Where a stage keeps the checkpoint with which it resumes."""
+    return args.out / name / "last"
+
+
 def _start_of(name: str, args: TrainArgs) -> Path | None:
     """The checkpoint from which a stage begins, or which it resumes; None for a new policy."""
-    last = args.out / name / "last"
+    last = _last(name, args)
     if args.resume and (last / CARD_FILE).exists():
         return last
     if name == "teacher":
