@@ -19,10 +19,13 @@ def test_motions_that_fit_need_no_warning_and_others_say_how_much_they_need() ->
     line = memory_warning(10 * HOUR, 0.0, 1, 8_000_000_000)
     assert line is not None
     assert "10.0 h of motion need about 9 GB of memory, this machine has 8" in line
+    assert line.endswith("give fewer --motions")
     varied = memory_warning(10 * HOUR, 0.5, 1, 8_000_000_000)
     assert varied is not None and "about 18 GB" in varied
+    assert varied.endswith("give fewer --motions or less --vary")
     shared = memory_warning(10 * HOUR, 0.0, 3, 8_000_000_000)
     assert shared is not None and "about 28 GB" in shared
+    assert shared.endswith("give fewer --motions or fewer --workers")
 
 
 def test_a_container_has_the_memory_of_its_limit(tmp_path: Path, monkeypatch) -> None:

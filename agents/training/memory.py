@@ -43,7 +43,10 @@ def memory_warning(frames: int, share: float, processes: int, there: int | None)
     needed = processes * (BASE_BYTES + BYTES_PER_FRAME * frames / (1.0 - share))
     if there is None or needed < 0.9 * there:
         return None
+    fixes = ["fewer --motions"]
+    fixes += ["less --vary"] if share else []
+    fixes += ["fewer --workers"] if processes > 1 else []
     return (
         f"warning: {frames / 36.0 / 3600.0:.1f} h of motion need about {needed / 1e9:.0f} GB of "
-        f"memory, this machine has {there / 1e9:.0f}: give fewer --motions, or less --vary"
+        f"memory, this machine has {there / 1e9:.0f}: give {' or '.join(fixes)}"
     )
