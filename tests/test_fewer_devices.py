@@ -139,6 +139,7 @@ def test_a_student_of_a_headset_starts_from_questsim(tmp_path: Path, capsys) -> 
         ("--stage student --teacher tracker --specialists runs/none:walk", "runs/none"),
         ("--specialists runs/none:walk", "runs/none"),
         ("--stage student", "has no teacher of its own"),
+        ("--stage finetune", "student"),
         ("--stage student --teacher tracker --start questsim-headset", "does not observe left_con"),
     ],
 )

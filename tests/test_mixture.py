@@ -252,6 +252,9 @@ def test_clips_and_what_is_made_of_them_have_the_weight_of_their_entry(tmp_path:
     bank = MotionBank(load_recordings(str(file)), 18)
     chance, starts = bank.probability, bank.starts
     assert chance[0] / chance[1] == pytest.approx(2.5 * starts[0] / starts[1])
+    held = MotionBank(load_recordings(str(file)), 18, load_recordings(str(file))).validation
+    chance, starts = held.probability, held.starts
+    assert chance[0] / chance[1] == pytest.approx(starts[0] / starts[1])
     same, other = (data_record("m", [replace(heavy, weight=w)])["sha256"] for w in (1.0, 2.5))
     assert same != other
 

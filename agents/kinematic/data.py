@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -70,7 +70,8 @@ class MotionBank:
         held: Sequence[Motion] = (),
         kind_power: float = 1.0,
     ) -> None:
-        self.validation: MotionBank = MotionBank(held, length) if held else self
+        alike = [replace(motion, weight=1.0) for motion in held]  # weights are for learning
+        self.validation: MotionBank = MotionBank(alike, length) if held else self
         kept = [m for m in (motion.resampled(SENSOR_FPS) for motion in motions) if len(m) >= length]
         if not kept:
             raise InputError(

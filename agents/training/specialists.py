@@ -15,7 +15,7 @@ from torch import Tensor
 
 from agents.agent import Needs
 from agents.evaluation.follow import evaluation_sim, follow, from_first_frames
-from agents.policy.checkpoint import find_teacher, load_policy, needs_of
+from agents.policy.checkpoint import find_policy, find_teacher, load_policy, needs_of
 from agents.policy.policy_agent import PolicyAgent
 from agents.resolve import from_anywhere, policy_folder
 from envs import QuestVecEnv
@@ -107,15 +107,19 @@ class _OfOtherDevices(PolicyAgent):
 
 
 def check_teachers(args: TrainArgs, names: Sequence[str]) -> None:
-    """Check that the teachers of a student exist, before the motions are loaded.
+    """Check that the policies a stage builds on exist, before the motions are loaded.
+
+    They are a student's teachers, and the student of fine-tuning.
 
     Args:
         args: options of the training.
         names: of the stages to train.
 
     Raises:
-        InputError: there is no such teacher.
+        InputError: there is no such policy.
     """
+    if names == ["finetune"] and args.start is None:
+        find_policy(args.out / "student")
     if names == ["student"]:
         needs_of_teachers(args)
     elif "student" in names:  # its general teacher is trained before
