@@ -291,22 +291,9 @@ def test_the_shipped_chains_are_eight_kinds_of_each_library(tmp_path: Path) -> N
     }
 
 
-@pytest.mark.parametrize("name", ["again.toml", "sit.toml", "steps.toml"])
+@pytest.mark.parametrize("name", ["sit.toml", "steps.toml"])
 def test_the_shipped_mixtures_of_embedded_clips_are_read(name: str) -> None:
     assert "train" in read_mixture(ROOT / "docs" / "mixtures" / name)
-
-
-def test_what_is_drawn_again_is_not_in_the_validation_part_of_the_wide_mixture() -> None:
-    files = [
-        read_mixture(ROOT / "docs" / "mixtures" / f"{name}.toml") for name in ("wide", "again")
-    ]
-    kept = {
-        name for entry in files[0]["validation"] for name in entry.include if "dataset-2" in name
-    }
-    assert len(kept) == 24
-    for entry in files[1]["train"][:2]:
-        (pattern,) = entry.include
-        assert set(entry.exclude) == {name for name in kept if fnmatchcase(name, pattern)}
 
 
 def test_a_file_that_cannot_be_read_may_be_excluded_by_name(tmp_path: Path) -> None:
