@@ -266,3 +266,11 @@ def test_groups_of_a_mixture_are_counted_under_each_condition(library, clips, tm
         completed = [int(row["completed"]) for row in rows]
         assert groups["all"]["completed"] == sum(completed)
         assert groups["more.npz"]["completed"] == completed[-1]
+
+
+def test_a_ground_given_as_the_environment_says_which_option_takes_it(capsys) -> None:
+    """train.py's --env takes a ground."""
+    assert main(["evaluate", "--agent", "zero", "--env", "stairs:step_height_m=0.1"]) == 2
+    error = capsys.readouterr().err
+    assert "there is no environment 'stairs:step_height_m=0.1'" in error
+    assert "write --terrain stairs:step_height_m=0.1, or choose from QuestSim-v0" in error

@@ -17,6 +17,7 @@ from envs.config import MAX_ERROR_M, EnvConfig
 from envs.core import BatchSim
 from envs.objects import shapes_of
 from envs.options import config_from
+from envs.terrain import TERRAINS
 from questsim.errors import InputError
 from questsim.metrics import Rollout
 from questsim.motion.clip import FPS, Clip
@@ -70,6 +71,8 @@ def env_config(
         known = sorted(i for i in gym.registry if i.startswith("QuestSim"))
         if env_id not in known:
             what, fix = f"there is no environment {env_id!r}", f"choose from {', '.join(known)}"
+            if env_id.partition(":")[0] in TERRAINS:  # as train.py's --env
+                fix = f"write --terrain {env_id}, or {fix}"
             raise InputError(what, "--env", fix)
         options |= {"sensors": EnvConfig().sensors} | gym.spec(env_id).kwargs
     heights = None if height_m is None else (height_m, height_m)
