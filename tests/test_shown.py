@@ -244,5 +244,7 @@ def test_estimates_of_other_motions_are_refused(library, tmp_path) -> None:
     strange = [estimate_of(CLIPS[0], name="zzz@somebody")]
     save_library(other, [to_motion(clip) for clip in strange], strange)
     with pytest.raises(InputError, match=r"other.npz: 'zzz@somebody' is not an estimate of one of"):
-        train(tiny(tmp_path / "run", stage="student", estimates=str(other)))
+        train(
+            tiny(tmp_path / "run", stage="student", teacher=Path("tracker"), estimates=str(other))
+        )
     assert not (tmp_path / "run").exists()
